@@ -110,11 +110,11 @@ def test_what_is_torn_is_noticed_and_done_again(harm: str, mine: Path) -> None:
 def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
     mine: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fastmimic.dataset import records
+    from fastmimic.dataset import index
 
     read: list[str] = []
-    whole = records.sha256
-    monkeypatch.setattr(records, "sha256", lambda path: read.append(path.name) or whole(path))
+    whole = index.sha256
+    monkeypatch.setattr(index, "sha256", lambda path: read.append(path.name) or whole(path))
     for path in (mine / "records").iterdir():
         path.touch()
     assert build_dataset(of("trot", "pace"), mine, HERE).done == 0

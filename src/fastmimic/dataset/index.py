@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from sys import intern
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -196,12 +195,14 @@ def grade(record: Mapping[str, Any]) -> tuple[str, str]:
     return reached, lacks
 
 
-Search = tuple[str, str, int, str, str]  # the same for records that differ only in their start
-
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
 """Further columns of the index: grade, the reason it is not better, whether the motion is kept, and whether it is the
 best of its excerpt and robot."""
 _CHUNK: Final = 2048
+_CHOSEN_BY: Final = (
+    *("id", "name", "robot", "robot_file", "seed", "piece", "robot_digest", "recipe"),
+    *("finished", "grade", "kept", "reward_mean_perturbed"),
+)
 
 
 def require_pyarrow() -> Any:
@@ -270,25 +271,6 @@ class Gathered:
     torn: list[str]  # names of files without a whole record
 
 
-@dataclass(frozen=True, slots=True)
-class _Brief:
-    """The part of a record that sorting and the choice among several need; the greatest `rank` is the best."""
-
-    search: Search
-    finished: str
-    order: tuple[str, str, int, str]
-    rank: tuple[int, float]
-    kept: bool
-
-    @classmethod
-    def of(cls, row: Record, reached: str) -> "_Brief":
-        robot, digest, recipe = (intern(said) for said in (robot_of(row), row["robot_digest"], row["recipe"]))
-        search = (row["piece"], robot, row["seed"], digest, recipe)
-        order = (row["name"], row["robot"], row["seed"], row["id"])
-        rank = (RANKS.index(reached), row["reward_mean_perturbed"] or 0.0)
-        return cls(search, row["finished"] or "", order, rank, reached in KEPT)
-
-
 def gather(folder: Path, plan: Membership) -> Gathered:
     """Reads all records of a library, and grades those that belong to it; raises `LibraryError` without Arrow."""
     require_pyarrow()
@@ -297,7 +279,6 @@ def gather(folder: Path, plan: Membership) -> Gathered:
     kinds = {name: kind for name, kind in (COLUMNS | GRADED).items() if name != "best"}  # which is known at the end
     types = {str: pyarrow.string(), int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_()}
     schema = pyarrow.schema([(name, types[kind]) for name, kind in kinds.items()])
-    briefs: list[_Brief] = []
     superseded: list[Superseded] = []
     torn: list[str] = []
 
@@ -311,37 +292,40 @@ def gather(folder: Path, plan: Membership) -> Gathered:
             else:
                 row = plan.described(record)
                 reached, lacks = grade(row)
-                briefs.append(_Brief.of(row, reached))
                 row |= {"grade": reached, "lacks": lacks or None, "kept": reached in KEPT}
                 yield {name: None if row[name] is None else kind(row[name]) for name, kind in kinds.items()}
 
     found, batches = belonging(), []
     while chunk := list(islice(found, _CHUNK)):
         batches.append(pyarrow.RecordBatch.from_pylist(chunk, schema=schema))
-    rows, best = _chosen(briefs, superseded)
-    table = pyarrow.Table.from_batches(batches, schema=schema).take(pyarrow.array(rows, pyarrow.int64()))
+    table = pyarrow.Table.from_batches(batches, schema=schema)
+    rows, best = _chosen(table.select(_CHOSEN_BY).to_pylist(), superseded)
+    table = table.take(pyarrow.array(rows, pyarrow.int64()))
     return Gathered(table.append_column("best", pyarrow.array(best, pyarrow.bool_())), superseded, torn)
 
 
-def _chosen(briefs: Sequence[_Brief], superseded: list[Superseded]) -> tuple[list[int], list[bool]]:
-    """The last of each search, as sorted indices, and whether each is the best of its excerpt and robot; adds the
-    others to `superseded`."""
-    last: dict[Search, int] = {}
-    for i, brief in enumerate(briefs):
-        there = last.setdefault(brief.search, i)
-        if (brief.finished, brief.order[3]) > (briefs[there].finished, briefs[there].order[3]):
-            last[brief.search] = i
-    for i, brief in enumerate(briefs):
-        if (instead := last[brief.search]) != i:
-            name, _, seed, identity = brief.order
-            later = briefs[instead].order[3]
+def _chosen(rows: Sequence[Record], superseded: list[Superseded]) -> tuple[list[int], list[bool]]:
+    """The last of each search, as sorted indices of the rows, which are by id, and whether each is the best of its
+    excerpt and robot; adds the others to `superseded`."""
+    by_time = sorted(range(len(rows)), key=lambda i: rows[i]["finished"] or "")
+    last = {_search(rows[i]): i for i in by_time}
+    for i, row in enumerate(rows):
+        if (instead := last[_search(row)]) != i:
+            later = rows[instead]["id"]
             why = f"begun otherwise; instead of it there is {later}"
-            superseded.append(Superseded(identity, name, brief.search[1], seed, why, later))
-    best: dict[tuple[str, str], int] = {}
-    for i in sorted(last.values()):  # by id
-        there = best.setdefault(briefs[i].search[:2], i)
-        if briefs[i].rank > briefs[there].rank:
-            best[briefs[i].search[:2]] = i
-    rows = sorted(last.values(), key=lambda i: briefs[i].order)
+            superseded.append(Superseded(row["id"], row["name"], robot_of(row), row["seed"], why, later))
+    from_last = sorted(last.values(), reverse=True)  # of equally good ones the first by id is the best
+    best = {_search(rows[i])[:2]: i for i in sorted(from_last, key=lambda i: _rank(rows[i]))}
+    found = sorted(from_last, key=lambda i: [rows[i][name] for name in ("name", "robot", "seed", "id")])
     chosen = set(best.values())
-    return rows, [i in chosen and briefs[i].kept for i in rows]
+    return found, [i in chosen and rows[i]["kept"] for i in found]
+
+
+def _search(row: Record) -> tuple[Any, ...]:
+    """Excerpt, robot and more: the same for records that differ only in their start."""
+    return row["piece"], robot_of(row), row["seed"], row["robot_digest"], row["recipe"]
+
+
+def _rank(row: Record) -> tuple[int, float]:
+    """The greatest is the best."""
+    return RANKS.index(row["grade"]), row["reward_mean_perturbed"] or 0.0
