@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ClipError
+from fastmimic.base.files import packaged
 
 
 @dataclass(frozen=True)
@@ -27,26 +28,21 @@ KEYPOINTS: Final = Skeleton(
 """Of the ten points of `POINT_NAMES`: trunk, girdles, and a straight line for each leg."""
 
 
-def _chain(first: int, *radii: float) -> list[tuple[int, int, float]]:
-    """Bones from each point to the next, starting at `first`."""
-    return [(first + i, first + i + 1, radius) for i, radius in enumerate(radii)]
+@dataclass(frozen=True)
+class _Markers:
+    """The dog's points: how many, which of them are the ten, and its bones, part by part, with radii."""
+
+    points: int
+    keypoints: dict[str, int]
+    bones: dict[str, list[tuple[int, int, float]]]
 
 
-_FORELEG: Final = (0.050, 0.038, 0.027, 0.021)
-_HIND_LEG: Final = (0.050, 0.034, 0.022)
-_DOG: Final = (
-    *_chain(0, 0.072, 0.078, 0.088, 0.050, 0.032),  # pelvis, two of the spine, neck, head, nose
-    *((3, first, 0.062) for first in (6, 11)),
-    *_chain(6, *_FORELEG),
-    *_chain(11, *_FORELEG),
-    *((0, first, 0.062) for first in (16, 20)),
-    *_chain(16, *_HIND_LEG),
-    *_chain(20, *_HIND_LEG),
-    (0, 24, 0.020),
-    *_chain(24, 0.014, 0.010),
-)
-DOG: Final = Skeleton(27, tuple((a, b) for a, b, _ in _DOG), tuple(radius for *_, radius in _DOG))
+_DOG: Final = packaged("fastmimic.clips", "dog.json", _Markers)
+_BONES: Final = [bone for part in _DOG.bones.values() for bone in part]
+DOG: Final = Skeleton(_DOG.points, tuple((a, b) for a, b, _ in _BONES), tuple(radius for *_, radius in _BONES))
 """Of the 27 points of the dog recordings: spine with head, four legs with their joints, tail."""
+DOG_KEYPOINTS: Final = _DOG.keypoints
+"""Indices of the ten among them; left and right follow from the points' positions (up × forward)."""
 
 POINT_NAMES: Final = (
     "pelvis",

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,10 +20,8 @@ from fastmimic.optimize.cma_es import History
 from fastmimic.render import figure_style as style
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, STANCE
 from fastmimic.render.tracks import Track, rollout_track
+from fastmimic.report.html_run import shown_window
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
-
-TRACKING_CYCLES: Final = 2  # in the tracking figure
-TRANSITION_S: Final = 2.0  # length of a stitched motion's tracking figure
 
 
 def convergence_figure(history: History, title: str = "Optimisation") -> Figure:
@@ -195,22 +192,7 @@ def _tracks(result: Imitation) -> list[Track]:
 def _tracked(result: Imitation, title: str) -> Figure:
     log = result.after.course
     time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
-    alive_s = max(int(result.before.steps[0]), int(result.after.steps[0])) / log.rate_hz
     wanted, after = foot_courses(result.after, result.robot)
     _, before = foot_courses(result.before, result.robot)
-    starts = result.demonstration.segment_starts
-    if len(starts) > 1:  # the first transition
-        shown_s = TRANSITION_S
-        start = max(0.0, starts[1] / log.rate_hz - 0.5 * shown_s)
-    else:
-        shown_s = TRACKING_CYCLES * result.demonstration.period_s
-        start = max(0.0, min(alive_s, float(time_s[-1])) - shown_s)
-    return tracking_figure(
-        time_s,
-        wanted,
-        before,
-        after,
-        log.wanted[0],
-        title,
-        window_s=(start, start + min(shown_s, float(time_s[-1]))),
-    )
+    window_s = shown_window(result.demonstration, (result.before, result.after))
+    return tracking_figure(time_s, wanted, before, after, log.wanted[0], title, window_s=window_s)

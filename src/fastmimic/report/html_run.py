@@ -4,6 +4,7 @@ Episodes are not stored, since they follow exactly from `motion.npz` and `config
 check this.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -71,21 +72,25 @@ class RerunEpisodes:
 
     @property
     def first_window(self) -> tuple[float, float]:
-        """The times shown at first, s: the last cycles, or the first transition."""
-        _, total = self.whole_episode
-        starts, rate_hz = self.motion.target.segment_starts, self.log.rate_hz
-        if len(starts) > 1:
-            start = max(0.0, starts[1] / rate_hz - TRANSITION_S / 2)
-            return start, min(total, start + TRANSITION_S)
-        alive = max(int(rollout.steps[0]) for rollout, *_ in self.series) / rate_hz
-        start = max(0.0, alive - CYCLES * self.motion.period_s)
-        return start, max(alive, start + 0.1)
+        """The times shown at first, s."""
+        return shown_window(self.motion.target, [rollout for rollout, *_ in self.series])
 
     @property
     def segment_lines(self) -> list[dict[str, Any]]:
         """Lines between the segments of a stitched motion."""
         border = Key("", "var(--muted)", "dash")
         return [rule(border, x=s / self.log.rate_hz, width=1) for s in self.motion.target.segment_starts if s]
+
+
+def shown_window(target: Motion, rollouts: Sequence[Rollout]) -> tuple[float, float]:
+    """The last cycles that a rollout with a log completed, or the first transition of a stitched motion, s."""
+    rate_hz, starts = rollouts[0].course.rate_hz, target.segment_starts
+    if len(starts) > 1:
+        start = max(0.0, starts[1] / rate_hz - TRANSITION_S / 2)
+        return start, min(rollouts[0].course.wanted.shape[1] / rate_hz, start + TRANSITION_S)
+    alive = max(int(rollout.steps[0]) for rollout in rollouts) / rate_hz
+    start = max(0.0, alive - CYCLES * target.period_s)
+    return start, max(alive, start + 0.1)
 
 
 @dataclass(frozen=True, eq=False)

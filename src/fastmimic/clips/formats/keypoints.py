@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.clips.clip import DOG, POINT_NAMES, Clip
+from fastmimic.clips.clip import DOG, DOG_KEYPOINTS, POINT_NAMES, Clip
 from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.gaps import Part
 from fastmimic.clips.formats.points import clip_of
@@ -22,20 +22,6 @@ from fastmimic.clips.formats.tracked_points import Tracks, tracks_format
 
 COLUMNS: Final = 81
 DEFAULT_RATE_HZ: Final = 60.0
-
-_POINT_INDEX: Final = {
-    "pelvis": 0,
-    "neck": 3,
-    "FR_hip": 11,
-    "FL_hip": 6,
-    "RR_hip": 20,
-    "RL_hip": 16,
-    "FR_toe": 15,
-    "FL_toe": 10,
-    "RR_toe": 23,
-    "RL_toe": 19,
-}
-"""Indices among the 27 points; left and right follow from the points' positions (up × forward)."""
 
 _COLUMN: Final = re.compile(r"(.+?)(?:[\s._:/\-]([xyzXYZ])|(?<=[a-zA-Z])([XYZ]))")
 _TIMES: Final = ("time", "time_s", "t")
@@ -48,7 +34,7 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, frames:
     rows = read_table(text).rows
     values = to_array(rows, COLUMNS, _column_name, "dog keypoints")
     rate = DEFAULT_RATE_HZ if fps is None else float(fps)
-    chosen = [_POINT_INDEX[name] for name in POINT_NAMES]
+    chosen = [DOG_KEYPOINTS[name] for name in POINT_NAMES]
     assumed = [] if fps is not None else [f"{rate:g} frames a second: the file does not say"]
     return clip_of(values.reshape(-1, 27, 3), chosen, rate, up=up, assumed=assumed, skeleton=DOG, frames=frames)
 
