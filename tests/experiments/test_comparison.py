@@ -310,7 +310,7 @@ class TestFolder:
         prepared = prepare(plan, copy, keep=True, prepared=lambda name: None)
         assert prepared.tasks == ()
         assert len(prepared.kept) == len(rows) - 1
-        write_comparison(ComparisonFolder.at(copy), plan, prepared.finished(), prepared.kept)
+        write_comparison(ComparisonFolder.at(copy), plan, prepared.finished())
         for name in ("results.csv", "table.md", "ablations.md"):
             assert (copy / name).read_text() == (out / name).read_text()
         assert {p.name for p in copy.iterdir()} == {p.name for p in out.iterdir()}

@@ -88,12 +88,12 @@ class Compare:
                 note(f"the results include {len(prepared.kept)} more finished runs from the folder")
             try:
                 with _progress(total) as report:
-                    rows = prepared.perform(workers, report)
+                    prepared.perform(workers, report)
             except (KeyboardInterrupt, FastMimicError):
                 if folder.begun:
                     _leave(folder, prepared)
                 raise
-            write_comparison(folder, plan, rows, prepared.kept)
+            write_comparison(folder, plan, prepared.finished())
         put(*folder.read(TABLE, ABLATION_TABLE).splitlines(), f"results in {self.out}")
         return 0
 
@@ -125,9 +125,8 @@ def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     from fastmimic.report.comparison_figures import write_comparison
 
     try:
-        rows = prepared.finished()
-        if rows or prepared.kept:
-            write_comparison(folder, prepared.plan, rows, prepared.kept)
+        if rows := prepared.finished():
+            write_comparison(folder, prepared.plan, rows)
     except FastMimicError as error:  # the interruption or the run's failure is reported
         note(f"the tables could not be written: {error}")
     note(KEPT)

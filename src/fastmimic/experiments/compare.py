@@ -147,23 +147,26 @@ class Prepared:
     out: Path  # folder of motions and runs
     files: Mapping[Path, Motion]  # the motions to write
     tasks: tuple[RunTask, ...]
-    done: Mapping[Run, Row]  # rows of the plan's finished runs
-    kept: tuple[Row, ...]  # rows of other finished runs of the same settings in the folder
+    found: Mapping[Run, Row]  # rows of the runs of the same settings that were finished before
+
+    @property
+    def kept(self) -> tuple[Row, ...]:
+        """Rows of finished runs that are not the plan's."""
+        return tuple(row for run, row in self.found.items() if run not in self.plan.runs)
 
     def perform(self, workers: int, report: ReportProgress) -> list[Row]:
         """Performs the remaining runs; returns the rows of all runs of the plan, in its order. Raises
         `FastMimicError` as the first failed run, `KeyboardInterrupt` for Ctrl-C; finished runs stay in the folder."""
         for path, motion in self.files.items():
             motion.save(path)
-        rows = dict(self.done)
-        for task, row in zip(self.tasks, run_all(self.tasks, workers, report), strict=True):
-            rows[task.run] = row
+        made = run_all(self.tasks, workers, report)
+        rows = {**self.found, **{task.run: row for task, row in zip(self.tasks, made, strict=True)}}
         return [rows[run] for run in self.plan.runs]
 
     def finished(self) -> list[Row]:
-        """Rows of the plan's runs that are finished now, in its order."""
-        done = {task.run: finished_row(task.folder) for task in self.tasks} | dict(self.done)
-        return [row for run in self.plan.runs if (row := done[run]) is not None]
+        """Rows of all runs that are finished now."""
+        now = (finished_row(task.folder) for task in self.tasks)
+        return [*self.found.values(), *(row for row in now if row is not None)]
 
 
 def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> list[Row]:
@@ -217,15 +220,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
         for run in plan.runs
         if run not in found
     )
-    asked = set(plan.runs)
-    return Prepared(
-        plan,
-        out,
-        files,
-        tuple(tasks),
-        done={run: row for run, row in found.items() if run in asked},
-        kept=tuple(row for run, row in found.items() if run not in asked),
-    )
+    return Prepared(plan, out, files, tuple(tasks), found)
 
 
 def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> dict[Run, Path]:

@@ -43,12 +43,10 @@ _CIRCLE: Final = 0.02  # height of a circle with its gap to the number, in units
 _TRACKED_LEG: Final = "RL"  # of the paper's tracking figures
 
 
-def write_comparison(
-    folder: ComparisonFolder, plan: ComparisonPlan, rows: Sequence[Row], kept: Sequence[Row] = ()
-) -> None:
-    """Writes tables and figures of `rows` and those `kept` of other runs; says if some miss. Raises `OutputError`."""
+def write_comparison(folder: ComparisonFolder, plan: ComparisonPlan, rows: Sequence[Row]) -> None:
+    """Writes tables and figures of finished runs, the plan's and others; says if some miss. Raises `OutputError`."""
     missing = {*plan.runs} - {run_of(row) for row in rows}
-    found = folder.in_order([*kept, *rows])
+    found = folder.in_order(rows)
     written = [RESULTS_CSV]
     folder.write(RESULTS_CSV, csv_text(COLUMNS, found))
     whole = [row for row in found if not row["variant"]]
