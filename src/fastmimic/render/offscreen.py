@@ -141,14 +141,14 @@ class Overlay:
         cells = grid_cells(len(panels), width, height, columns)
         self._unit = _unit(width, height, cells[0][3])
         margin = round(18 * self._unit)
-        self._patches: list[_Patch] = []
+        self._plates: list[tuple[Image.Image, int, int]] = []  # with top and left
         for (title, caption), (left, top, right, _) in zip(panels, cells, strict=False):
             plate = _text_plate(title, caption, self._unit, right - left - 2 * margin)
             if plate is not None:
-                self._patches.append(_Patch(plate, top + margin, left + margin))
+                self._plates.append((plate, top + margin, left + margin))
         if legend is not None:
             plate = _legend_plate(*legend, self._unit)
-            self._patches.append(_Patch(plate, height - plate.height - margin, width - plate.width - margin))
+            self._plates.append((plate, height - plate.height - margin, width - plate.width - margin))
         half = max(1, round(1.5 * self._unit))  # of the bars between panels
         self._columns = [slice(at - half, at + half) for at in {left for left, *_ in cells} - {0}]
         self._rows = [slice(at - half, at + half) for at in {top for _, top, *_ in cells} - {0}]
@@ -160,11 +160,11 @@ class Overlay:
             frame[:, bar] = 255
         for bar in self._rows:
             frame[bar] = 255
-        for patch in self._patches:
-            patch.blend(frame)
+        for plate, top, left in self._plates:
+            _blend(frame, plate, top, left)
         if self._clock:
             clock = _clock_plate(f"{time_s:.1f} s{self._note}", self._unit)
-            _Patch(clock, self._clock_at[1] - clock.height, self._clock_at[0]).blend(frame)
+            _blend(frame, clock, self._clock_at[1] - clock.height, self._clock_at[0])
 
 
 def _unit(width: int, height: int, cell_height: int) -> float:
@@ -172,23 +172,14 @@ def _unit(width: int, height: int, cell_height: int) -> float:
     return min(max(float(np.sqrt(width * height)) / 960, 0.6), max(cell_height / 330, 0.45))
 
 
-class _Patch:
-    """A small RGBA picture at a place, with precomputed blending."""
+def _blend(frame: NDArray[np.uint8], plate: "Image.Image", top: int, left: int) -> None:
+    """Draws a small RGBA picture onto a frame (height, width, 3) in place, cut off at its edges."""
+    from PIL import Image
 
-    def __init__(self, image: "Image.Image", top: int, left: int) -> None:
-        rgba = np.asarray(image, dtype=np.uint32)
-        opaque = (rgba[..., 3:] * 256 + 127) // 255  # of 256, so that blending ends in a shift
-        self._keep = np.broadcast_to(256 - opaque, (*rgba.shape[:2], 3)).astype(np.uint16)
-        self._add = (rgba[..., :3] * opaque).astype(np.uint16)
-        self._place = (slice(top, top + rgba.shape[0]), slice(left, left + rgba.shape[1]))
-
-    def blend(self, frame: NDArray[np.uint8]) -> None:
-        under = frame[self._place]
-        h, w = under.shape[:2]
-        mixed = under * self._keep[:h, :w]
-        mixed += self._add[:h, :w]
-        mixed >>= 8
-        frame[self._place] = mixed
+    place = frame[top : top + plate.height, left : left + plate.width]
+    under = Image.fromarray(place)
+    under.paste(plate, mask=plate)
+    place[...] = np.asarray(under)
 
 
 @lru_cache(maxsize=16)
