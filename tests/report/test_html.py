@@ -303,7 +303,7 @@ def test_a_comparison_has_its_tables_and_figures(tmp_path: Path) -> None:
     assert len(report.missing) == 2
     assert "results.csv is missing" in report.missing[0]
     assert "tracking.png is missing" in report.missing[1]
-    assert "<td><code>trot</code></td><td>MBC</td>" in report.html
+    assert "<td><code>trot</code></td>\n<td>MBC</td>" in report.html
     assert "<strong>0.9</strong>" in report.html
     assert "<trot>" not in report.html
     assert Parsed(report.html).urls[1:] == ["data:image/png;base64,cGljdHVyZQ=="]
@@ -395,7 +395,7 @@ def test_other_experiments_have_their_table_and_figures(tmp_path: Path, capsys: 
     report = make_report(tmp_path)
     assert report.missing == ()
     assert "<strong>12.5</strong>" in report.html
-    assert 'class="sortable"' in report.html
+    assert 'class="sortable numbers"' in report.html
     assert Parsed(report.html).urls[1:] == ["data:image/png;base64,cGljdHVyZQ=="]
     (tmp_path / "environment.json").write_text("{")
     assert main(["report", str(tmp_path)]) == 2
@@ -403,7 +403,8 @@ def test_other_experiments_have_their_table_and_figures(tmp_path: Path, capsys: 
 
 
 def test_markdown_is_escaped() -> None:
-    assert markdown("a <b> *c*\n\n- `d`: e.") == "<p>a &lt;b&gt; <em>c</em></p>\n<ul><li><code>d</code>: e.</li></ul>"
+    html = "<p>a &lt;b&gt; <em>c</em></p>\n<ul>\n<li><code>d</code>: e.</li>\n</ul>\n"
+    assert markdown("a <b> *c*\n\n- `d`: e.") == html
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import base64
 import gzip
 import json
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -12,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup, escape
+from markdown_it import MarkdownIt
+from markupsafe import Markup
 
 from fastmimic import __version__
 from fastmimic.base.errors import ConfigError, OutputError
@@ -98,24 +98,7 @@ def _embedded(path: Path, mime: str) -> str:
 
 
 def markdown(text: str) -> Markup:
-    """HTML of Markdown: sortable tables, lists, paragraphs, `code`, **bold** and *italics*."""
-    table = _environment().get_template("parts.html").module.table  # type: ignore[attr-defined]
-    html = []
-    for block in re.split(r"\n\s*\n", text.strip()):
-        lines = block.splitlines()
-        if block.startswith("|"):
-            header, _, *rows = ([_inline(cell.strip()) for cell in line.strip("| ").split(" | ")] for line in lines)
-            html.append(Markup('<div class="dense">{}</div>').format(table(header, rows)))
-        elif block.startswith("- "):
-            items = Markup("").join(Markup("<li>{}</li>").format(_inline(line[2:])) for line in lines)
-            html.append(Markup("<ul>{}</ul>").format(items))
-        elif block:
-            html.append(Markup("<p>{}</p>").format(_inline(" ".join(lines))))
-    return Markup("\n").join(html)
-
-
-def _inline(text: str) -> Markup:
-    html = str(escape(text))
-    html = re.sub(r"`([^`]+)`", r"<code>\1</code>", html)
-    html = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", html)
-    return Markup(re.sub(r"\*([^*]+)\*", r"<em>\1</em>", html))
+    """HTML of Markdown; its tables can be sorted, and from their third column on have numbers."""
+    html = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    table = '<div class="dense scroll"><table class="sortable numbers">'
+    return Markup(html.replace("<table>", table).replace("</table>", "</table></div>"))

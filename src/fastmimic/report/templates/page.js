@@ -113,7 +113,10 @@
     return /^[-+−]?\d/.test(text) ? parseFloat(text.replace("−", "-")) : text;
   };
   for (const head of document.querySelectorAll("table.sortable thead th")) {
-    const button = head.querySelector("button");
+    const button = document.createElement("button");
+    button.type = "button";
+    button.append(...head.childNodes);
+    head.append(button);
     button.addEventListener("click", () => {
       const body = head.closest("table").tBodies[0];
       const down = head.getAttribute("aria-sort") === "ascending";
