@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from marked import put
+from shares import interval
 
 from fastmimic.control.config import ControllerConfig, default_config
 from fastmimic.episode.loop import run_episodes
@@ -127,14 +128,6 @@ def minute(robot: Robot, motion: Motion, speed: float, episodes: int) -> float:
     start = perturbed_start(episodes, motion.n_samples, np.random.default_rng(0))
     done = run_episodes(robot, motion, start=start, duration_s=MINUTE_S, conditions=conditions)
     return float(1.0 - done.fell.mean())
-
-
-def interval(up: np.ndarray) -> tuple[float, float]:
-    """Wilson's interval of a share, 95 %."""
-    z, n, share = 1.96, len(up), float(up.mean())
-    middle = (share + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return middle - half, middle + half
 
 
 def table(found: dict[str, dict[str, Any]], args: argparse.Namespace) -> str:
