@@ -1,6 +1,7 @@
 """The documentation: sentences short enough to read, lines short enough to review, and names that exist."""
 
 import re
+import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -87,3 +88,10 @@ def test_modules_that_are_named_exist(page: Path) -> None:
     named = set(re.findall(r"\bfastmimic(?:\.[A-Za-z_]\w*)+", page.read_text(encoding="utf-8")))
     named = {name for name in named if not name.endswith((".git", ".extensions", ".egg"))}
     assert not sorted(name for name in named if not resolves(name))
+
+
+def test_extras_that_are_named_exist() -> None:
+    texts = [*PAGES, *(ROOT / "src").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]
+    named = {extra for path in texts for extra in re.findall(r"fastmimic\[([a-z0-9,]+)\]", path.read_text("utf-8"))}
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert {extra for names in named for extra in names.split(",")} <= set(extras)

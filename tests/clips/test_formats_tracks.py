@@ -21,14 +21,13 @@ from fastmimic.robot import load_robot
 
 TOE = POINT_NAMES.index("FR_toe")
 NODES = {name: f"node_{i}" for i, name in enumerate(POINT_NAMES)}
-NEEDS = {"h5": "h5py", "c3d": "ezc3d", "glb": "pygltflib"}
+NEEDS = {"h5": ["h5py"], "c3d": ["c3d", "ezc3d"], "glb": ["pygltflib"]}
 
 Writer = Callable[[Path, np.ndarray], ReadOptions | None]
 
 
 def needs(name: str) -> None:
-    library = NEEDS.get(name.rpartition(".")[2])
-    if library:
+    for library in NEEDS.get(name.rpartition(".")[2], []):
         pytest.importorskip(library, reason=f"{library} is not installed: pip install 'fastmimic[formats]'")
 
 
@@ -174,11 +173,11 @@ def test_a_truncated_file_is_refused(name: str, tmp_path: Path) -> None:
             read_clip(path, ReadOptions(fps=RATE))
 
 
-@pytest.mark.parametrize("library", ["h5py", "ezc3d", "pygltflib"])
+@pytest.mark.parametrize("library", ["h5py", "c3d", "pygltflib"])
 def test_a_missing_library_is_one_line_that_names_the_extra(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    starts = {"h5py": b"\x89HDF\r\n\x1a\n", "ezc3d": b"\x02\x50" + b"\xff" * 2000, "pygltflib": b"glTF\x02\0\0\0"}
+    starts = {"h5py": b"\x89HDF\r\n\x1a\n", "c3d": b"\x02\x50" + b"\xff" * 2000, "pygltflib": b"glTF\x02\0\0\0"}
     (tmp_path / "take").write_bytes(starts[library])
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ClipError, match=rf"need {library}, which is not installed: pip install 'fastmimic\[formats\]'"):
