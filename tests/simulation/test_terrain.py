@@ -89,6 +89,15 @@ class TestGround:
         np.testing.assert_allclose(np.diff(risers), 0.3, atol=0.011)
         np.testing.assert_allclose(made("stairs-down=0.05").height(x, x), -height)
 
+    def test_a_robot_that_is_lost_has_ground(self) -> None:
+        """Beyond the edge, and where the state is no longer finite."""
+        x = np.array([1e9, np.nan])
+        for text in EVERY:
+            height = made(text).height(x, x)
+            assert height.shape == (2,)
+        edge = made("rough=0.05").field.heights[-1, -1]  # type: ignore[union-attr]
+        assert made("rough=0.05").height(x, x)[0] == edge
+
     def test_rough_ground_is_its_seeds(self) -> None:
         heights = made("rough=0.05", seed=1).field.heights  # type: ignore[union-attr]
         assert 0.049 < np.abs(heights).max() <= 0.05

@@ -103,11 +103,8 @@ Disturbances = Annotated[
 TerrainName = Annotated[
     str | None,
     option(
-        "NAME=LEVEL|FILE[@CELL][=FACTOR]",
-        lambda: (
-            f"Ground in place of the flat one: {', '.join(TERRAINS)}, e.g. stairs-up=0.05 (m); or a file of heights,"
-            " such as hills.npy (m) or hills.png@0.05=0.3 (points every 0.05 m, white at 0.3 m)."
-        ),
+        "NAME=LEVEL|FILE",
+        lambda: f"Ground, e.g. stairs-up=0.05 (m), or a file of heights, e.g. hills.npy. Names: {', '.join(TERRAINS)}.",
     ),
 ]
 Ideal = Annotated[bool, option(text="Motors with full torque at any speed; legs pass through each other.")]

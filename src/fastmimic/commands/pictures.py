@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional
 
@@ -147,17 +147,9 @@ class Render:
         from fastmimic.imitation.evaluate import evaluate
         from fastmimic.render.tracks import rollout_track
 
-        conditions = Conditions(terrain=opt.ground_of(self.terrain))
+        options: dict[str, Any] = {"duration_s": seconds, "method": method, "config": self.config, "log": True}
         with slow_start():
-            found = evaluate(
-                motion,
-                robot,
-                duration_s=seconds,
-                method=method,
-                config=self.config,
-                conditions=conditions,
-                log=True,
-            )
+            found = evaluate(motion, robot, conditions=Conditions(terrain=opt.ground_of(self.terrain)), **options)
         caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
         track = rollout_track(
             found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption

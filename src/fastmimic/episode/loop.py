@@ -198,9 +198,8 @@ class ClosedLoop:
     def score(self) -> None:
         """Scores the robots' true states against the demonstration, synchronised to the truth."""
         advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"], self.controller.memory["haste"])
-        truth = seen = self._truth
-        if self.terrain is not None:
-            seen = self.terrain.plane(truth["root_pos"][:, 0], truth["root_pos"][:, 1]).seen(truth)
+        truth = self._truth
+        seen = truth if self.terrain is None else self.terrain.seen(truth)
         self.scorer.score(self.clocks, truth, self.controller.memory, seen)
         if self._animal_scorer is not None:
             self._animal_scorer.tallies["fallen"] |= self.scorer.tallies["fallen"]

@@ -25,7 +25,6 @@ from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 from fastmimic.simulation.simulators import Placement
-from fastmimic.simulation.terrain import Terrain
 
 RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}  # rates of modulation: 1/s, rad/s², 1/s
 NEUTRAL: Final = {"speed": 1.0, "turn": 0.0, "lift": 1.0}  # leaves the motion unchanged
@@ -294,16 +293,8 @@ class GettingUpPhase(Enum):
 class GettingUp:
     """Attempts to get up, until the robot stands with joints `stand`, (12,) rad, and base `height`, m."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        simulation: MujocoSimulation,
-        stand: Array,
-        height: float,
-        dt: float,
-        terrain: Terrain | None = None,
-    ) -> None:
-        self._robot, self._simulation, self._dt, self._terrain = robot, simulation, dt, terrain
+    def __init__(self, robot: Robot, simulation: MujocoSimulation, stand: Array, height: float, dt: float) -> None:
+        self._robot, self._simulation, self._dt = robot, simulation, dt
         self._stand, self._height = stand, height
         self._path, self._folded_height = rising_path(robot, stand)
         self._stiffness, self._damping = standing_gains(robot)
@@ -317,7 +308,8 @@ class GettingUp:
 
     def step(self, observation: NDArray[Any]) -> NDArray[Any]:
         """Commands (1,) of `COMMAND` for the next control step, from an observation (1,)."""
-        obs, command = observation[0], self.command
+        ground, command = self._simulation.ground, self.command
+        obs = (observation if ground is None else ground.seen(observation))[0]
         self._time += self._dt
         command["torque"] = 0.0
         command["joint_vel"] = 0.0
@@ -355,7 +347,7 @@ class GettingUp:
         position = np.array([[xy[0], xy[1], self._folded_height]])
         zero = np.zeros((1, 3))
         place = Placement(position, quat_from_yaw(np.array([yaw])), self._path[:1], zero, zero, np.zeros((1, 12)))
-        self._simulation.reset(*on_ground(self._terrain, self._robot, place))
+        self._simulation.reset(*on_ground(self._simulation.ground, self._robot, place))
         self._tries = 0
         self._go(GettingUpPhase.RISE, self._simulation.observation[0])
 

@@ -136,9 +136,8 @@ class LiveSession:
         self._truth = np.zeros(1, SAMPLE)
         self._scorer = Scorer(robot, self._truth, 1, self._given, self.rate_hz)
         stand = self.library.entry(STAND).motion
-        self._recovery = GettingUp(
-            robot, self.simulation, stand.joint_pos[0], float(stand.root_pos_w[0, 2]), self.dt, terrain
-        )
+        height = float(stand.root_pos_w[0, 2])
+        self._recovery = GettingUp(robot, self.simulation, stand.joint_pos[0], height, self.dt)
         self.falls = 0
         self.steps = 0
         self._control_s: deque[float] = deque(maxlen=_TIMINGS)
@@ -300,15 +299,10 @@ class LiveSession:
         self.reference.fill(self._truth, scored=True)
         self._clock["origin"] = self.reference.place["pose"]
         self._clock["jump"] = self.reference.place["jump"]
-        self._scorer.score(self._clock, observation, self.controller.memory, self._seen(observation))
+        seen = observation if self.terrain is None else self.terrain.seen(observation)
+        self._scorer.score(self._clock, observation, self.controller.memory, seen)
         if self._scorer.tallies["fallen"][0]:
             self._has_fallen()
-
-    def _seen(self, observation: NDArray[Any]) -> NDArray[Any]:
-        """The state (1,) as seen from the ground."""
-        if self.terrain is None:
-            return observation
-        return self.terrain.plane(observation["root_pos"][:, 0], observation["root_pos"][:, 1]).seen(observation)
 
     def _fill(self) -> None:
         """Fills the reference: the present sample, and when a plan is due also its horizon."""
@@ -321,7 +315,7 @@ class LiveSession:
         self._recovery.begin()
 
     def _get_up(self) -> None:
-        observation = self.simulation.step(self._recovery.step(self._seen(self.simulation.observation)))
+        observation = self.simulation.step(self._recovery.step(self.simulation.observation))
         if self._recovery.phase is not GettingUpPhase.DONE:
             return
         obs = observation[0]

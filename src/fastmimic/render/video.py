@@ -63,6 +63,7 @@ class _Shown:
     contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
     bones: Array | None = None  # (n, b, 2, 3) their ends, world, m; None for a robot
     radii: tuple[float, ...] = ()  # (b,) of the bones, m
+    terrain: Terrain | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +157,7 @@ def render_video(
     frames = _frames(times, window_s)
     video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
-    terrain = next((t.terrain for t in tracks if isinstance(t, Track) and t.terrain is not None), None)
-    video_scene = _build(robot, shown, drawn_size, quality, loop_m, terrain)
+    video_scene = _build(robot, shown, drawn_size, quality, loop_m)
     overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
 
     try:
@@ -246,20 +246,16 @@ def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: b
     ghost = resample(track.ghost, rate_hz, times) if track.ghost is not None else None
     yaw = float(yaw_from_quat(pose[0, 3:7]))
     if not marks:
-        return _Shown(pose[:, :3], yaw, pose, ghost)
+        return _Shown(pose[:, :3], yaw, pose, ghost, terrain=track.terrain)
     moments = times[:, None] - np.linspace(0.0, _TRAIL_S, _TRAIL_PIECES + 1)
     before = resample(track, rate_hz, np.maximum(moments, 0.0).ravel())
     feet = world_feet(robot, before).reshape(*moments.shape, 4, 3)
-    return _Shown(pose[:, :3], yaw, pose, ghost, feet, resample_contact(track, rate_hz, times))
+    contact = resample_contact(track, rate_hz, times)
+    return _Shown(pose[:, :3], yaw, pose, ghost, feet, contact, terrain=track.terrain)
 
 
 def _build(
-    robot: Robot,
-    shown: list[_Shown],
-    size: tuple[int, int],
-    quality: Quality,
-    loop_m: float | None,
-    terrain: Terrain | None,
+    robot: Robot, shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None
 ) -> VideoScene:
     paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
     tile = TILE_M
@@ -273,7 +269,7 @@ def _build(
         floor=np.array([paths.min(axis=0), paths.max(axis=0)]),
         quality=quality,
         tile=tile,
-        terrain=terrain,
+        terrain=next((s.terrain for s in shown if s.terrain is not None), None),
     )
 
 

@@ -1,6 +1,6 @@
 """The ground of a video: checkered and flat, or a terrain."""
 
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.render.encoding import Quality
+from fastmimic.simulation.mujoco_sim import floor_shapes
 from fastmimic.simulation.terrain import Terrain
 
 _CHECKER: Final = "checker"
@@ -38,46 +39,32 @@ def add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float)
         vertices, faces = _checkered(tile, _TILED_M, parity)
         if parity == 0:
             vertices, faces = _framed(vertices, faces)
-        _add_mesh(spec, name, vertices, faces, rgb)
+        spec.add_mesh(
+            name=name,
+            uservert=vertices.ravel(),
+            userface=faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            rgba=[*rgb, 1],
+            contype=0,
+            conaffinity=0,
+        )
 
 
 def add_terrain(spec: mujoco.MjSpec, terrain: Terrain, tile: float) -> None:
-    """Its surface, in two colours by turns: tiles, steps or stones; and a sky, as the ground may not fill the
-    picture."""
+    """The simulation's ground, checkered, or steps and stones of two colours by turns; and a sky, as the ground may not
+    fill the picture."""
     sky, plain = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
     spec.add_texture(name="sky", type=sky, builtin=plain, rgb1=HAZE, rgb2=HAZE, width=8, height=48)
-    if terrain.field is None and not len(terrain.boxes):
-        _add_checker(spec, tile, 0.0)
-        tilt, size = terrain.plane(np.zeros(()), np.zeros(())).quat, [_GROUND_M] * 3
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, quat=tilt, size=size, material=_CHECKER)
-        return
-    vertices, faces = terrain.surface()
-    corners = vertices[faces]
-    middle = corners.mean(axis=1)
-    if len(terrain.boxes):
-        dark = np.repeat(np.arange(len(terrain.boxes)) % 2, len(faces) // len(terrain.boxes))
-    else:
-        dark = (np.floor(middle[:, 0] / tile) + np.floor(middle[:, 1] / tile)) % 2
-    for parity, (name, rgb) in enumerate(zip(TILES, (_LIGHT_TILE, _DARK_TILE), strict=True)):
-        own = corners[dark == parity]  # unshared vertices have sharp edges
-        _add_mesh(spec, name, own, np.arange(3 * len(own)), rgb)
-
-
-def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Array, faces: NDArray[Any], rgb: tuple[float, ...]) -> None:
-    spec.add_mesh(
-        name=name,
-        uservert=vertices.ravel(),
-        userface=faces.ravel(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
-    spec.worldbody.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        rgba=[*rgb, 1],
-        contype=0,
-        conaffinity=0,
-    )
+    _add_checker(spec, tile, 0.0)
+    for k, shape in enumerate(floor_shapes(spec, terrain).values()):
+        color = (_LIGHT_TILE, _DARK_TILE)[k % 2]
+        look = {"rgba": [*color, 1]} if len(terrain.boxes) else {"material": _CHECKER}
+        spec.worldbody.add_geom(**shape, **look)
 
 
 def _add_checker(spec: mujoco.MjSpec, tile: float, reflectance: float) -> None:

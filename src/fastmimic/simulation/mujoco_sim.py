@@ -222,7 +222,7 @@ class MujocoSimulation:
     ) -> None:
         """With `ideal`, motors have their torque at any speed, and legs pass through each other. Raises `ConfigError`
         if the physics rate is not a multiple of the control rate."""
-        self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
+        self.substeps, self.ground = substeps_of(physics_rate_hz, control_rate_hz), ground
         self.model = build_model(robot, physics_rate_hz, ground, ideal=ideal)
         self.batch = Batch(self.model, n, nthread=threads)
         self.observation = np.zeros(n, OBSERVATION)

@@ -32,11 +32,6 @@ FIELD_M: Final = 60.0  # edge of a height field; a robot that leaves it falls
 WAVE_M: Final = 1.0
 FILE_CELL_M: Final = 0.05
 FILES: Final = (".png", ".npy")
-SEEN_M: Final = 16.0
-_CUBE: Final = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(-1, 3)
-_CUBE_FACES: Final = np.array(
-    [0, 1, 3, 0, 3, 2, 4, 7, 5, 4, 6, 7, 0, 4, 5, 0, 5, 1, 2, 7, 6, 2, 3, 7, 0, 2, 6, 0, 6, 4, 1, 7, 3, 1, 5, 7]
-).reshape(12, 3)  # outwards
 _ACROSS: Final = np.linspace(-FOOTPRINT_M, FOOTPRINT_M, 5)
 _UNDER: Final = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)  # points under a robot
 
@@ -92,10 +87,10 @@ class HeightField:
         return self.cell * (np.array(self.heights.shape)[::-1] - 1) / 2
 
     def height(self, x: Array, y: Array) -> Array:
-        """Heights (…) at (…), m; beyond an edge those at it."""
+        """Heights (…) at (…), m; beyond an edge those at it, and any where a lost robot is at NaN."""
         rows, columns = self.heights.shape
-        column = np.clip((x + self.half[0]) / self.cell, 0.0, columns - 1.0)
-        row = np.clip((y + self.half[1]) / self.cell, 0.0, rows - 1.0)
+        column = np.clip((np.nan_to_num(x) + self.half[0]) / self.cell, 0.0, columns - 1.0)
+        row = np.clip((np.nan_to_num(y) + self.half[1]) / self.cell, 0.0, rows - 1.0)
         j, i = np.minimum(column.astype(int), columns - 2), np.minimum(row.astype(int), rows - 2)
         u, v, low, high = column - j, row - i, self.heights[i, j], self.heights[i + 1, j + 1]
         beside = np.where(u >= v, self.heights[i, j + 1], self.heights[i + 1, j])  # the triangle's third corner
@@ -129,19 +124,6 @@ class Terrain:
         tops = np.where(inside, at[:, 2] + half[:, 2], (at[:, 2] - half[:, 2]).min())
         return np.asarray(tops.max(axis=-1), dtype=np.float64)
 
-    def surface(self) -> tuple[Array, NDArray[np.int32]]:
-        """Vertices (v, 3), m, and triangles (f, 3), to be drawn, of what is within `SEEN_M` of the origin."""
-        if len(self.boxes):
-            corners = self.boxes[:, None, :3] + _CUBE * self.boxes[:, None, 3:]
-            faces = _CUBE_FACES + 8 * np.arange(len(self.boxes))[:, None, None]
-            return corners.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
-        half, cell = (SEEN_M, 1.0) if self.field is None else (min(SEEN_M, *self.field.half), self.field.cell)
-        x, y = np.meshgrid(*2 * [np.arange(-round(half / cell), round(half / cell) + 1) * cell])
-        n = len(x)
-        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()[:, None, None]
-        faces = corner + np.array([[0, 1, n + 1], [0, n + 1, n]])
-        return np.stack([x, y, self.height(x, y)], axis=-1).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
-
     def plane(self, x: Array, y: Array) -> GroundPlane:
         """The plane through the ground under robots at (…), m: of a field, that nearest to their footprint."""
         if self.field is None:
@@ -149,6 +131,10 @@ class Terrain:
             return GroundPlane.of(gradient[..., 0] * x + gradient[..., 1] * y, gradient)
         under = self.field.height(x[..., None] + _UNDER[:, 0], y[..., None] + _UNDER[:, 1])
         return GroundPlane.of(under.mean(axis=-1), under @ _UNDER / np.sum(_ACROSS**2) / len(_ACROSS))
+
+    def seen(self, observation: NDArray[Any]) -> NDArray[Any]:
+        """States (n,) of `OBSERVATION` as from the ground under each robot."""
+        return self.plane(observation["root_pos"][:, 0], observation["root_pos"][:, 1]).seen(observation)
 
     def support(self, x: Array, y: Array, radius: float) -> Array:
         """Heights (…) on which feet of a radius, m, stand at (…), m: on an edge if it is that near."""

@@ -9,6 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.render.video_scene import GHOST_GROUP, build_video_scene
 from fastmimic.robot import Robot
+from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     import mujoco
@@ -19,6 +20,7 @@ Rgb = tuple[int, int, int]
 _SLICES: Final = 20
 _SHARP_RAD: Final = np.radians(30.0)  # edges above this angle are not shaded smoothly
 _VISIBLE_GROUPS: Final = 2
+SEEN_M: Final = 16.0
 
 
 class BodyMesh(NamedTuple):
@@ -96,6 +98,24 @@ def _body(model: "mujoco.MjModel", body: int, geoms: list[int]) -> BodyMesh:
             by_colour.setdefault((r, g, b), []).append(mesh)
     name = str(model.body(body).name).rpartition("/")[2]
     return BodyMesh(name, tuple((sum(meshes[1:], meshes[0]), rgb) for rgb, meshes in by_colour.items()))
+
+
+def ground_surface(terrain: Terrain) -> "Trimesh":
+    """The ground's surface, of a plane or a field the part within `SEEN_M` of the origin; world, m."""
+    from trimesh import Trimesh, creation, transformations, util
+
+    if len(terrain.boxes):
+        places = [transformations.translation_matrix(box[:3]) for box in terrain.boxes]
+        sizes = 2.0 * terrain.boxes[:, 3:]
+        boxes: Any = util.concatenate([creation.box(*each) for each in zip(sizes, places, strict=True)])
+        return Trimesh(boxes.vertices, boxes.faces, process=False)
+    half, cell = (SEEN_M, 1.0) if terrain.field is None else (min(SEEN_M, *terrain.field.half), terrain.field.cell)
+    along = cell * np.arange(-round(half / cell), round(half / cell) + 1)
+    x, y = np.meshgrid(along, along)
+    n = len(along)
+    corner = n * np.arange(n - 1)[:, None, None, None] + np.arange(n - 1)[:, None, None]
+    faces = corner + np.array([[0, 1, n + 1], [0, n + 1, n]])
+    return Trimesh(np.stack([x, y, terrain.height(x, y)], axis=-1).reshape(-1, 3), faces.reshape(-1, 3), process=False)
 
 
 def surface(model: "mujoco.MjModel", geom: int) -> "Trimesh | None":

@@ -10,7 +10,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.render.video_scene import ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
-from fastmimic.viewer.bodies import Puppet
+from fastmimic.viewer.bodies import Puppet, ground_surface
 from fastmimic.viewer.take import (
     TRAIL_POINTS,
     Take,
@@ -120,8 +120,8 @@ class RobotScene:
         )
         if take.terrain is not None:
             self._grid.visible = False
-            surface = take.terrain.surface()
-            server.scene.add_mesh_simple(f"{name}/terrain", *surface, color=_TERRAIN_RGB, flat_shading=True)
+            mesh, rgb = ground_surface(take.terrain), _TERRAIN_RGB
+            server.scene.add_mesh_simple(f"{name}/terrain", mesh.vertices, mesh.faces, color=rgb, flat_shading=True)
         self._bodies = self._add_bodies(f"{name}/robot", puppet.bodies, None)
         self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, ghost_rgba()[3])
         self._contacts = {
