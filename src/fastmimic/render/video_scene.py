@@ -2,6 +2,7 @@
 with a shadow under the robot."""
 
 from dataclasses import dataclass
+from importlib import resources
 from typing import Final
 
 import mujoco
@@ -23,8 +24,7 @@ _GHOST: Final = "ghost/"
 GHOST_GROUP: Final = 4
 _HIDDEN_GROUP: Final = 5
 _GHOST_SHRINK: Final = 0.97  # avoids flicker where the robot matches its demonstration
-LIGHT_DIR: Final = (0.30, 0.40, -1.0)
-_FOVY_DEG: Final = 30.0
+LIGHT_DIR: Final = (0.30, 0.40, -1.0)  # as in video.xml
 
 _ELEVATION_DEG: Final = -19.0  # the ground fills the picture
 _SHADOW_RGBA: Final = (0.30, 0.33, 0.37, 1.0)
@@ -84,19 +84,11 @@ def build_video_scene(
     """Puts a robot, and a translucent ghost of it if wanted, on a checkered ground with tiles of `tile` m, in a picture
     of `width` x `height` pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m; `terrain`
     is the ground, flat if None."""
-    spec = mujoco.MjSpec()
-    _set_visual(spec, width, height, quality)
+    spec = _studio(width, height, quality)
     if terrain is None:
         add_ground(spec, floor, quality, tile)
     else:
         add_terrain(spec, terrain, tile)
-    spec.worldbody.add_light(
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        dir=LIGHT_DIR,
-        diffuse=[0.55, 0.55, 0.55],
-        specular=[0.2, 0.2, 0.2],
-        castshadow=quality.shadow_map > 0,
-    )
     for prefix in (_ROBOT, _GHOST)[: 1 + ghost]:
         spec.attach(_bare_robot(robot), prefix=prefix, frame=spec.worldbody.add_frame())
     model = spec.compile()
@@ -111,23 +103,16 @@ def build_video_scene(
     return VideoScene(model, robot_qpos, ghost_qpos, casts_shadow, quality, tiles, tile, terrain)
 
 
-def _set_visual(spec: mujoco.MjSpec, width: int, height: int, quality: Quality) -> None:
-    visual = spec.visual
+def _studio(width: int, height: int, quality: Quality) -> mujoco.MjSpec:
+    """A scene with light and haze only."""
+    spec = mujoco.MjSpec.from_string(resources.files("fastmimic.render").joinpath("video.xml").read_text("utf-8"))
+    visual, facets = spec.visual, spec.visual.quality
     visual.global_.offwidth, visual.global_.offheight = width, height
-    visual.global_.fovy = _FOVY_DEG
-    visual.quality.offsamples = quality.samples
-    visual.quality.shadowsize = quality.shadow_map
-    facets = visual.quality
+    facets.offsamples, facets.shadowsize = quality.samples, quality.shadow_map
     facets.numslices, facets.numstacks, facets.numquads = quality.facets, quality.facets // 2, 1
-    visual.headlight.ambient = [0.42, 0.42, 0.42]
-    visual.headlight.diffuse = [0.28, 0.28, 0.28]
-    visual.headlight.specular = [0.1, 0.1, 0.1]
     visual.rgba.fog = [*HAZE, 1]
-    visual.map.fogstart, visual.map.fogend = 2.5, 11.0
-    visual.map.znear, visual.map.zfar = 0.2, 60.0  # what lies on the ground is a millimetre above it
-    visual.map.shadowclip = 2.0  # m about the robot that have a shadow; specks where they end
-    spec.stat.extent = 1.0
-    spec.stat.center = [0, 0, 0.2]
+    spec.lights[0].castshadow = quality.shadow_map > 0
+    return spec
 
 
 def _bare_robot(robot: Robot) -> mujoco.MjSpec:
