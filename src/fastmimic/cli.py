@@ -4,12 +4,13 @@ import contextlib
 import dataclasses
 import difflib
 import io
+import json
 import logging
 import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from importlib import import_module
+from importlib import import_module, resources
 from typing import Any, Final, NamedTuple, NoReturn
 
 from fastmimic import __version__
@@ -30,28 +31,8 @@ class Verb(NamedTuple):
 
 
 VERBS: Final = {
-    "imitate": Verb("imitate", "Imitate", "turn a motion into one that the robot can execute"),
-    "evaluate": Verb("evaluate", "Evaluate", "run a motion under the controller and score it"),
-    "compare": Verb("experiments", "Compare", "compare the paper's methods: tables and figures"),
-    "train": Verb("train", "Train", "train the RL baseline (PPO) on a motion"),
-    "stress": Verb("experiments", "Stress", "measure how much disturbance a motion tolerates"),
-    "transfer": Verb("experiments", "Transfer", "run motions on a robot that they were not optimised on"),
-    "identify": Verb("evaluate", "Identify", "estimate friction and payload from a run log"),
-    "stitch": Verb("imitate", "Stitch", "join several motions into one that the robot can execute"),
-    "retarget": Verb("motion_files", "Retarget", "turn an animal's clip into a robot motion, without optimising it"),
-    "library": Verb("library", "Libraries", "build, list and check a dataset of motions"),
-    "export": Verb("motion_files", "Export", "write a robot motion for other trainers"),
-    "segment": Verb("motion_files", "SegmentTake", "find the locomotion cycles in a long take"),
-    "inspect": Verb("motion_files", "Inspect", "show information about a clip or motion"),
-    "render": Verb("pictures", "Render", "write a video of a motion"),
-    "report": Verb("pictures", "WriteReport", "write a run or a comparison as one HTML file"),
-    "view": Verb("pictures", "View", "show a motion or a run in the browser"),
-    "play": Verb("pictures", "Play", "steer a live simulated robot in the browser"),
-    "deploy": Verb("deploy", "Deploy", "run a motion on a robot (stand up, run, sit down)"),
-    "robot-sim": Verb("deploy", "RobotSim", "simulate a Go2 that speaks the real DDS protocol"),
-    "motions": Verb("motion_files", "Motions", "list the named motions"),
-    "robots": Verb("motion_files", "Robots", "list the built-in robots, or describe a file's"),
-    "data": Verb("motion_files", "Data", "list or download the public recordings of a dog"),
+    name: Verb(*entry)
+    for name, entry in json.loads(resources.files("fastmimic").joinpath("verbs.json").read_text("utf-8")).items()
 }
 
 HELP: Final = f"""\

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.base.files import packaged
 from fastmimic.base.text import NONE, number
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table
@@ -14,20 +15,8 @@ from fastmimic.runs.work_folder import RunFolder
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
 
-_FIGURES: Final = (  # label, name in metrics.json, digits, scale
-    ("drift, m/s", "drift_m_per_s", 3, 1.0),
-    ("early contacts, 1/s", "early_contacts_per_s", 1, 1.0),
-    ("stance slip, mm", "stance_slip_m", 1, 1e3),
-    ("foot z rmse, mm", "foot_z_rmse_m", 1, 1e3),
-    ("foot x rmse, mm", "foot_x_rmse_m", 1, 1e3),
-    ("success, %", "success", 0, 100.0),
-    ("mpjpe, mm", "mpjpe_mm", 1, 1.0),
-    ("  relative to the root, mm", "mpbpe_root_mm", 1, 1.0),
-    ("root position error, mm", "root_position_error_m", 1, 1e3),
-    ("root heading error, mrad", "root_heading_error_rad", 1, 1e3),
-    ("joint velocity error, rad/s", "joint_velocity_error_rad_s", 2, 1.0),
-    ("acceleration distance, m/s²", "acceleration_distance", 2, 1.0),
-)
+_FIGURES: Final = packaged("fastmimic.commands", "figures.json", tuple[tuple[str, str, int, float], ...])
+"""Label, name in `metrics.json`, digits, scale."""
 
 
 def yes_no(value: Any) -> str:

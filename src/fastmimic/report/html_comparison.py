@@ -4,12 +4,13 @@ import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, FastMimicError
-from fastmimic.base.files import read_json
+from fastmimic.base.files import packaged, read_json
 from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.comparison_run import Row, finished_row
@@ -30,7 +31,7 @@ _NOMINAL: Final = Key("nominal, mean ± std over the seeds", "var(--after)", sym
 _INK_BARS: Final = {"color": "var(--ink)", "thickness": 1.2, "width": 3}
 
 
-class Measure(NamedTuple):
+class Measure(msgspec.Struct, frozen=True):
     column: str
     title: str
     unit: str  # of the axis
@@ -39,18 +40,7 @@ class Measure(NamedTuple):
     before: str = ""  # the same column before optimisation
 
 
-_REWARDS: Final = (
-    Measure("reward_mean", "Nominal episode", "reward (0 to 1)", top=1.05),
-    Measure("reward_mean_perturbed", "Perturbed starts, mean over the episodes", "reward (0 to 1)", top=1.05),
-)
-_HOW: Final = (
-    Measure(
-        "swing_clearance_least_share", "Swing clearance, least of four legs", "share of the demonstration's (%)", 100
-    ),
-    Measure("style_distance_realised", "Style distance of what the feet did", "0 the same, 1 not lifted"),
-    Measure("foot_z_rmse_m", "Foot height error", "RMS, four feet (mm)", 1e3, before="foot_z_rmse_m_before"),
-    Measure("foot_x_rmse_m", "Fore-aft error", "RMS, four feet (mm)", 1e3, before="foot_x_rmse_m_before"),
-)
+_MEASURES: Final = packaged("fastmimic.report", "measures.json", dict[str, tuple[Measure, ...]])
 
 
 def comparison_page(path: Path) -> HtmlReport:
@@ -176,7 +166,7 @@ def rewards(found: Sequence[Summary]) -> Figure:
         title,
         "Bars are means over the seeds with their sample standard deviation; a circle is one seed. The perturbed starts"
         " are the same for every method, and no optimisation has seen them.",
-        [_bars(found, measure) for measure in _REWARDS],
+        [_bars(found, measure) for measure in _MEASURES["rewards"]],
         1,
         (*map(_key, _methods(found)), _SEED),
     )
@@ -189,7 +179,7 @@ def manners(found: Sequence[Summary]) -> Figure:
         "Style and tracking: a reward that is got by shuffling shows here",
         "Swing clearance of 100 % lifts the feet as the demonstration does; a style distance of 0 is its very step. A"
         " line across a bar is the error before the optimisation.",
-        [_bars(found, measure, height=270) for measure in _HOW],
+        [_bars(found, measure, height=270) for measure in _MEASURES["manners"]],
         2,
         (*map(_key, _methods(found)), _SEED, _BEFORE),
     )
