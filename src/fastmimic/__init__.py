@@ -13,8 +13,7 @@ foot sphere; angular velocities in the world frame; float64.
 
 from typing import Any
 
-from fastmimic.learning import AfterImport
-from fastmimic.learning import register as _register_environments
+from fastmimic.learning import register_when_imported as _register_when_imported
 
 __version__ = "0.1.0"
 
@@ -29,7 +28,7 @@ def _public() -> dict[str, tuple[str, str]]:
     return {name.asname or name.name: (str(node.module), name.name) for node in imports for name in node.names}
 
 
-AfterImport("gymnasium", _register_environments)  # `gymnasium.make("fastmimic/Imitation-v0")`, without importing it
+_register_when_imported()  # `gymnasium.make("fastmimic/Imitation-v0")`, without importing it
 
 
 def __getattr__(name: str) -> Any:

@@ -155,41 +155,32 @@ class Prepared:
         return tuple(row for run, row in self.found.items() if run not in self.plan.runs)
 
     def perform(self, workers: int, report: ReportProgress) -> list[Row]:
-        """Performs the remaining runs; returns the rows of all runs of the plan, in its order. Raises
-        `FastMimicError` as the first failed run, `KeyboardInterrupt` for Ctrl-C; finished runs stay in the folder."""
+        """Performs the remaining runs, one worker's in this process; returns the rows of all runs of the plan, in its
+        order. Raises `FastMimicError` as the first failed run, and stops the others, `KeyboardInterrupt` for Ctrl-C;
+        finished runs and checkpoints stay in the folder."""
         for path, motion in self.files.items():
             motion.save(path)
-        made = run_all(self.tasks, workers, report)
-        rows = {**self.found, **{task.run: row for task, row in zip(self.tasks, made, strict=True)}}
+        tasks, effort, rows = self.tasks, RunProgress(self.tasks), dict(self.found)
+
+        def progress(index: int, share: float) -> None:
+            if share > 0.0:
+                effort.advance(index, round(share * tasks[index].settings.iterations))
+                report(effort, None)
+
+        executor = LocalExecutor(max(1, min(workers, len(tasks))))
+        with closing(executor.run(perform, tasks, progress)) as outcomes:
+            for outcome in outcomes:
+                if outcome.error is not None:
+                    raise outcome.error
+                rows[tasks[outcome.index].run] = outcome.result
+                effort.finish(outcome.index)
+                report(effort, outcome.result)
         return [rows[run] for run in self.plan.runs]
 
     def finished(self) -> list[Row]:
         """Rows of all runs that are finished now."""
         now = (finished_row(task.folder) for task in self.tasks)
         return [*self.found.values(), *(row for row in now if row is not None)]
-
-
-def run_all(tasks: Sequence[RunTask], workers: int, report: ReportProgress) -> list[Row]:
-    """Performs all tasks; returns the rows in their order. One worker runs them in this process. Raises
-    `FastMimicError` as the first failed run, and stops the others. Results and checkpoints survive that and Ctrl-C."""
-    executor = LocalExecutor(max(1, min(workers, len(tasks))))
-    effort = RunProgress(tasks)
-    rows: list[Row | None] = [None] * len(tasks)
-
-    def progress(index: int, share: float) -> None:
-        if share > 0.0:
-            effort.advance(index, round(share * tasks[index].settings.iterations))
-            report(effort, None)
-
-    outcomes = executor.run(perform, tasks, progress)
-    with closing(outcomes):
-        for outcome in outcomes:
-            if outcome.error is not None:
-                raise outcome.error
-            rows[outcome.index] = outcome.result
-            effort.finish(outcome.index)
-            report(effort, outcome.result)
-    return [row for row in rows if row is not None]
 
 
 def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:

@@ -1,7 +1,7 @@
 """The learned baseline: observation, action, policy file, training and Gymnasium environments."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
@@ -12,7 +12,7 @@ ENVIRONMENT_ID: Final = "fastmimic/Imitation-v0"
 
 
 def register() -> None:
-    """Registers `ENVIRONMENT_ID` with Gymnasium, once; `import fastmimic` calls it."""
+    """Registers `ENVIRONMENT_ID` with Gymnasium, once."""
     import gymnasium
 
     if ENVIRONMENT_ID not in gymnasium.registry:
@@ -23,20 +23,19 @@ def register() -> None:
         )
 
 
-class AfterImport(MetaPathFinder):
-    """Calls `call` now if the top-level package `name` is imported already, else right after its import."""
+def register_when_imported() -> None:
+    """Registers now if Gymnasium is imported already, else right after its import."""
+    if "gymnasium" in sys.modules:
+        register()
+    else:
+        sys.meta_path.insert(0, _AfterImport())
 
-    def __init__(self, name: str, call: Callable[[], None]) -> None:
-        self._name, self._call = name, call
-        if name in sys.modules:
-            call()
-        else:
-            sys.meta_path.insert(0, self)
 
+class _AfterImport(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        if fullname != self._name:
+        if fullname != "gymnasium":
             return None
         sys.meta_path.remove(self)
         spec = find_spec(fullname)
@@ -44,9 +43,9 @@ class AfterImport(MetaPathFinder):
             return spec
         load = spec.loader.exec_module
 
-        def load_and_call(module: ModuleType) -> None:
+        def load_and_register(module: ModuleType) -> None:
             load(module)
-            self._call()
+            register()
 
-        spec.loader.exec_module = load_and_call  # type: ignore[method-assign]
+        spec.loader.exec_module = load_and_register  # type: ignore[method-assign]
         return spec
