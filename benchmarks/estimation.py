@@ -2,23 +2,29 @@
 
     python benchmarks/estimation.py [--motions trot pace …] [--episodes 32] [--duration 10] [--write]
     python benchmarks/estimation.py --errors dog:trot [--write]
+    python benchmarks/estimation.py --contact a1 go2 --motions dog:trot dog:pace … [--write]
     python benchmarks/estimation.py --figure dog:trot estimation.png
 
 Each motion runs with the truth and with sensors (`fastmimic evaluate --observe sensors`), from its start and from
 perturbed starts; sensors, estimator and controller are the defaults. `--errors` leaves out one sort of error after the
-other on one motion. `--figure` draws estimate and truth. `--write` puts the table between its
-markers in docs/estimation.md. Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA.
+other on one motion. `--contact` compares contacts found with and without foot sensors. `--figure` draws estimate and
+truth. `--write` puts the table between its markers in docs/estimation.md. Motions of the dog need
+`fastmimic data fetch`, or FASTMIMIC_DATA.
 """
 
 import argparse
 import dataclasses
 import sys
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from marked import put
+from numpy.typing import NDArray
 
 import fastmimic as fm
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.observer import EstimationErrors
@@ -28,11 +34,15 @@ from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.render.figure_style import AFTER, DEMONSTRATION, STANCE, new_figure, save, tidy
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, parse_disturbance
 from fastmimic.simulation.config import SensorConfig, ideal_sensors
 
 MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "estimation.md"
+
+BEARS = 0.02  # weights; a foot with less counts as free in the gait planner
+BOUNCE = 10  # control steps; a foot that is back within 20 ms has bounced
+SETTLED = 50  # control steps of the start that are left out
 
 ERRORS = {
     "latency": ("imu_latency_s", "joint_latency_s", "foot_latency_s"),
@@ -109,6 +119,69 @@ def leave_out(robot: Robot, args: argparse.Namespace) -> list[str]:
     return lines
 
 
+def without_gaps(contact: NDArray[np.bool_], longest: int) -> NDArray[np.bool_]:
+    """(t, 4) contacts, with gaps of at most so many control steps closed: a foot that bounces has touched down."""
+    closed = contact.copy()
+    for leg in range(4):
+        at = np.flatnonzero(contact[:, leg])
+        for before, after in pairwise(at):
+            if after - before <= longest + 1:
+                closed[before:after, leg] = True
+    return closed
+
+
+def found_after(true: NDArray[np.bool_], told: NDArray[np.bool_]) -> list[int]:
+    """Control steps from each touch-down after 40 ms in the air until it is told, 50 at most; negative if before."""
+    delays = []
+    for leg in range(4):
+        began = np.flatnonzero(true[1:, leg] & ~true[:-1, leg]) + 1
+        for k in began[(began >= SETTLED) & (began < len(true) - 50)]:
+            if not true[k - 20 : k, leg].any():
+                near = told[k - 20 : k + 50, leg]
+                starts = np.flatnonzero(near[1:] & ~near[:-1]) + 1 - 20
+                delays.append(int(starts[np.argmin(np.abs(starts))]) if len(starts) else 50)
+    return delays
+
+
+def contacts(motion: Motion, robot: Robot, args: argparse.Namespace, foot_force: Any) -> tuple[Rollout, list[str]]:
+    """Episodes with sensors, and in words: median delay of touch-downs, ms; share of wrong samples; the same against
+    whatever touches at all."""
+    conditions = Conditions(observe="sensors", seed=args.seed, estimator=EstimatorConfig(foot_force=foot_force))
+    rollout = run_episodes(
+        robot, motion, start=nominal_start(args.episodes), duration_s=args.duration, log=True, conditions=conditions
+    )
+    log = rollout.course
+    assert log.estimate is not None
+    delays, wrong, touching = [], [], []
+    for truth, estimate in zip(log.observation, log.estimate, strict=True):
+        force, told = truth["foot_force"][:, :, 2], estimate["foot_force"][:, :, 2] > 0
+        true = without_gaps(force > BEARS * robot.mass * GRAVITY, BOUNCE)
+        delays += found_after(true, told)
+        wrong.append((true != told)[SETTLED:].mean())
+        touching.append(((force > 0) != told)[SETTLED:].mean())
+    said = f"{1e3 * np.median(delays) / log.rate_hz:.0f} ms", f"{np.mean(wrong):.1%}", f"{np.mean(touching):.1%}"
+    return rollout, list(said)
+
+
+def find_contacts(args: argparse.Namespace) -> list[str]:
+    lines = [
+        "| robot, motion | foot sensors alone: touch-down | wrong | wrong, bounces too | no foot sensors: touch-down |"
+        " wrong | wrong, bounces too | both: touch-down | wrong | wrong, bounces too | reward: sensors alone | none |"
+        " both | dead ones |",
+        "| --- |" + " --- |" * 13,
+    ]
+    dead = Conditions(observe="sensors", seed=args.seed, disturbances=(parse_disturbance("foot-force-scale=0"),))
+    for name, at in ((robot, at) for robot in args.contact for at in args.motions):
+        print(f"{name} {at} …", file=sys.stderr, flush=True)
+        robot = fm.load_robot(name)
+        motion = fm.load_motion(at, robot)
+        ways = [contacts(motion, robot, args, way) for way in ("on", "off", "auto")]
+        rewards = [*(found for found, _ in ways), nominal(motion, robot, args, dead, args.episodes)]
+        figures = [figure for _, said in ways for figure in said] + [reward(found) for found in rewards]
+        lines.append(f"| {name}, `{at}` | {' | '.join(figures)} |")
+    return lines
+
+
 def draw(name: str, robot: Robot, path: Path) -> None:
     """Two seconds of one episode: the base's velocity in its heading frame, height, and the forces on one diagonal."""
     log = fm.evaluate(name, robot, duration_s=4.0, conditions=Conditions(observe="sensors"), log=True).rollout.log
@@ -142,6 +215,7 @@ def main() -> None:
     parser.add_argument("--robot", default="a1")
     parser.add_argument("--motions", nargs="*", default=MOTIONS)
     parser.add_argument("--errors", metavar="MOTION", help="leave out one sort of error after the other")
+    parser.add_argument("--contact", nargs="+", metavar="ROBOT", help="contacts with and without foot sensors")
     parser.add_argument("--figure", nargs=2, metavar=("MOTION", "FILE"), help="draw estimate and truth")
     parser.add_argument("--episodes", type=int, default=32)
     parser.add_argument("--seed", type=int, default=0)
@@ -151,6 +225,19 @@ def main() -> None:
     robot = fm.load_robot(args.robot)
     if args.figure:
         draw(args.figure[0], robot, Path(args.figure[1]))
+        return
+    if args.contact:
+        text = "\n".join(
+            [
+                *find_contacts(args),
+                "",
+                f"Medians and means over {args.episodes} episodes of {args.duration:g} s, each with its own errors of"
+                " the sensors; method `mbc`, motions not optimised.",
+            ]
+        )
+        print(text)
+        if args.write:
+            put(PAGE, "contact", text)
         return
     of = f" of `{args.errors}`" if args.errors else ""
     rest = "" if args.errors else "; on the right from that start and from perturbed ones"

@@ -9,12 +9,12 @@ from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError, MotionError
 from fastmimic.control.config import default_config
 from fastmimic.deploy.computer import VirtualClock
-from fastmimic.deploy.deployment import Deployment, figures, score_log
+from fastmimic.deploy.deployment import Deployment, figures, score_log, summary_rows
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.deploy.safety import StopReason
+from fastmimic.deploy.safety import SafetyLimits, StopReason
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import LinkFaults, SimDriver
-from fastmimic.deploy.state_machine import DeploymentPhase
+from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -312,3 +312,37 @@ def test_a_link_says_what_it_cannot_be() -> None:
     with pytest.raises(ConfigError, match=r"link: loss must be in \[0, 1\]"):
         LinkFaults(loss=1.5)
     assert dataclasses.replace(LinkFaults(), latency_s=0.01).perfect
+
+
+def test_without_foot_sensors_it_stands_up_trots_and_sits(trotting: Rig, a1: Robot) -> None:
+    dead = Conditions(observe="sensors", disturbances=("foot-force-scale=0",))  # type: ignore[arg-type]  # a text
+    trotting.put_in(SimDriver(a1, trotting.clock, conditions=dead))
+    done = trotting.run(duration_s=3.0)
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert done.outcome.phase is DeploymentPhase.DONE
+    assert done.result["reward_truth_mean"] > 0.9
+    assert done.result["foot_sensors"] == []
+    said = dict(summary_rows(done.result))["contact by"]
+    assert said == "joint torques; foot sensors FR, FL, RR, RL were not found right"
+
+
+def test_what_told_of_contacts_is_in_the_account(trotted: tuple[Rig, Deployment]) -> None:
+    result = trotted[1].result
+    assert (result["foot_force"], result["foot_sensors"]) == ("auto", ["FR", "FL", "RR", "RL"])
+
+
+def test_a_robot_on_its_back_has_fallen_whatever_stopped_it(trotting: Rig, a1: Robot) -> None:
+    pushed = Conditions(observe="sensors", disturbances=("side-push=60@6",))  # type: ignore[arg-type]
+    trotting.put_in(SimDriver(a1, trotting.clock, conditions=pushed))
+
+    def tipped(machine: StateMachine) -> bool:
+        _, x, y, _ = trotting.sim.truth[-1]["root_quat"]
+        return 1 - 2 * (x * x + y * y) < 0.3
+
+    def press(machine: StateMachine) -> None:
+        trotting.switch.key = "q"
+
+    lenient = dataclasses.replace(SafetyLimits.of(a1), tilt=1.5, height_least=0.01)
+    done = trotting.run(duration_s=6.0, limits=lenient, watch=once(tipped, press))
+    assert done.outcome.stopped_by is StopReason.KEY
+    assert done.result["fell"]

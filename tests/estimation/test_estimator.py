@@ -1,6 +1,7 @@
 """The estimator on simulated robots and on made-up readings: accuracy, contacts, sliding feet, starts."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -154,7 +155,7 @@ class TestMadeUp:
         """One of four feet slides at 0.5 m/s under a robot at rest."""
 
         def run(gate: float) -> tuple[float, float]:
-            estimator = Estimator(robot, 1, RATE, EstimatorConfig(latency_s=0.0, slip_gate=gate))
+            estimator = Estimator(robot, 1, RATE, EstimatorConfig(latency_s=0.0, slip_gate=gate, foot_force="on"))
             reading = at_rest(robot)
             estimator.reset(reading, np.zeros(1, START), ALL)
             speed, place, steps = 0.0, 0.0, 100
@@ -178,7 +179,7 @@ class TestMadeUp:
         assert believed_place > 4 * place
 
     def test_the_orientation_follows_the_gyro_at_once_and_the_imu_slowly(self, robot: Robot) -> None:
-        config = EstimatorConfig(latency_s=0.0, orientation_time=0.1)
+        config = EstimatorConfig(latency_s=0.0, orientation_time=0.1, foot_force="on")
         estimator = Estimator(robot, 1, RATE, config)
         reading = at_rest(robot)
         estimator.reset(reading, np.zeros(1, START), ALL)
@@ -196,7 +197,7 @@ class TestMadeUp:
 
     def test_the_frame_turns_into_the_plane_of_the_feet(self, robot: Robot) -> None:
         """An IMU that is mounted askew does not matter in the end; the heading stays the gyro's."""
-        estimator = Estimator(robot, 1, RATE, EstimatorConfig(latency_s=0.0, ground_time=0.15))
+        estimator = Estimator(robot, 1, RATE, EstimatorConfig(latency_s=0.0, ground_time=0.15, foot_force="on"))
         reading = at_rest(robot, tuple(quat_from_rotvec(np.array([0.02, -0.01, 0.0]))))
         first = estimator.reset(reading, np.zeros(1, START), ALL)["root_quat"][0].copy()
         for _ in range(700):
@@ -244,10 +245,10 @@ class TestMadeUp:
 
 
 @pytest.mark.nojit
-class TestContact:
+class TestFootSensorsAlone:
     def course(self, robot: Robot, force: np.ndarray, planned: np.ndarray, **changes: float) -> np.ndarray:
         """What is told of the first foot's force, with the filter's record of it, over a course of readings (t,)."""
-        estimator = Estimator(robot, 1, RATE, EstimatorConfig(force_time=0.0, **changes))
+        estimator = Estimator(robot, 1, RATE, EstimatorConfig(foot_force="on", force_time=0.0, **changes))
         reading = at_rest(robot)
         reading["foot_force"][0, 0] = force[0]
         estimator.reset(reading, np.zeros(1, START), ALL)
@@ -285,7 +286,7 @@ class TestContact:
         assert np.all(told[:, 0] == 60.0), "the gait planner is told all the same"
 
     def test_noise_is_smoothed(self, robot: Robot) -> None:
-        estimator = Estimator(robot, 1, RATE, EstimatorConfig(force_time=0.004))
+        estimator = Estimator(robot, 1, RATE, EstimatorConfig(foot_force="on", force_time=0.004))
         reading = at_rest(robot)
         estimator.reset(reading, np.zeros(1, START), ALL)
         reading["foot_force"][0, 0] += 30.0
@@ -300,9 +301,10 @@ class TestContact:
         ({"velocity_noise": 0.0}, "velocity_noise must be positive, found 0.0"),
         ({"latency_s": -0.001}, "latency_s must not be negative"),
         ({"accel_noise": float("nan")}, "accel_noise must be finite"),
+        ({"foot_force": "yes"}, "foot_force must be one of auto, off, on, found yes"),
         ({"release_force": 0.5}, r"release_force \(0.5\) must not be above contact_force"),
     ],
 )
-def test_parameters_out_of_their_range(change: dict[str, float], message: str) -> None:
+def test_parameters_out_of_their_range(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=f"estimator: {message}"):
         dataclasses.replace(EstimatorConfig(), **change)

@@ -42,7 +42,7 @@ def test_it_agrees_with_plain_matrices(robot: Robot, gate: float) -> None:
     """Over feet that come and go, and with velocities so wild that some are taken for sliding."""
     rng = np.random.default_rng(3)
     config = EstimatorConfig(
-        slip_gate=gate, foot_walk=0.05, settle_time=0.006, ground_time=1e12, ground_start=1e12
+        foot_force="on", slip_gate=gate, foot_walk=0.05, settle_time=0.006, ground_time=1e12, ground_start=1e12
     )  # in the level frame throughout
     estimator = Estimator(robot, 1, RATE, config)
     start = np.zeros(1, START)
@@ -74,7 +74,7 @@ def test_it_agrees_with_plain_matrices(robot: Robot, gate: float) -> None:
 def test_the_covariance_stays_one(robot: Robot) -> None:
     """Symmetric, positive definite, and bounded where it can be known: velocity and height, not the place."""
     rng = np.random.default_rng(0)
-    estimator = Estimator(robot, 1, RATE)
+    estimator = Estimator(robot, 1, RATE, EstimatorConfig(foot_force="on"))
     estimator.reset(random_reading(robot, rng, np.full(4, LOADED)), np.zeros(1, START), np.ones((1, 4), np.int64))
     steps, state = 400, estimator.state[0]
     places = []

@@ -155,7 +155,10 @@ class TestParts:
 class TestRefusals:
     def test_disturbances(self) -> None:
         there = [name for name, kind in TERRAINS.items() if "pybullet" in kind.simulators]
-        assert disturbances_of(None, "pybullet") == [*known("pybullet"), *there]
+        assert disturbances_of(None, "pybullet", "sensors") == [*known("pybullet"), *there]
+        assert "foot-force-scale" not in disturbances_of(None, "pybullet", "truth")
+        with pytest.raises(ConfigError, match="'foot-force-scale' changes what sensors read; add --observe sensors"):
+            disturbances_of(["foot-force-scale"], "mujoco", "truth")
         assert "stairs-up" not in there
         assert "softness" not in known("pybullet")
         with pytest.raises(ConfigError, match="unknown disturbance 'wind'; there are friction"):

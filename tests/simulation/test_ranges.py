@@ -24,7 +24,7 @@ RANGES = (Range("friction", 0.4, 1.2), Range("payload", 0.0, 3.0), Range("push",
 
 
 def test_every_disturbance_that_robots_of_a_batch_can_differ_in_has_a_usual_range() -> None:
-    assert set(usual_ranges()) == {n for n, k in DISTURBANCES.items() if k.per_robot and k.realized_in("mujoco")}
+    assert set(usual_ranges()) == {n for n, k in DISTURBANCES.items() if k.per_robot and not k.sensed}
     for name, (lower, upper) in usual_ranges().items():
         kind = DISTURBANCES[name]
         assert usual_range(name) == Range(name, lower, upper)

@@ -11,7 +11,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotvec_from_quat
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.simulation.conditions import Conditions, episode_generator
+from fastmimic.simulation.conditions import Conditions, Disturbance, episode_generator, make_world
 from fastmimic.simulation.config import SensorConfig, ideal_sensors
 from fastmimic.simulation.sensors import Sensors
 
@@ -95,9 +95,27 @@ class TestIdeal:
         command["torque"] = 1e3
         np.testing.assert_allclose(sensors.measure(truth, command)["torque"][0], robot.torque_limit)
 
+    def test_torques_are_those_of_the_commands_that_have_reached_the_motors(self, robot: Robot) -> None:
+        world = make_world([Disturbance("delay", (0.004,))], 1, "mujoco")
+        sensors = Sensors(robot, 1, RATE, ideal_sensors(), world)
+        truth, command, found = level(1, robot), np.zeros(1, COMMAND), []
+        sensors.reset(generators(1), truth)
+        for torque in (1.0, 2.0, 3.0, 4.0):
+            command["torque"] = torque
+            found.append(float(sensors.measure(truth, command)["torque"][0, 0]))
+        assert found == [0.0, 0.0, 1.0, 2.0]
+
 
 @pytest.mark.nojit
 class TestErrors:
+    def test_foot_sensors_in_another_unit(self, robot: Robot) -> None:
+        given = Disturbance("foot-force-scale", (0.0, 10.0)), Disturbance("foot-force-offset", (60.0, 0.0))
+        sensors = Sensors(robot, 2, RATE, ideal_sensors(), make_world(given, 2, "mujoco"))
+        truth = level(2, robot)
+        truth["foot_force"][:, :, 2] = 25.0
+        found = sensors.reset(generators(2), truth)["foot_force"]
+        np.testing.assert_array_equal(found, [[60.0] * 4, [250.0] * 4])
+
     def test_readings_arrive_late(self, robot: Robot) -> None:
         truth = tumbling(robot, 30)
         late = with_errors(imu_latency_s=0.004, joint_latency_s=0.01, foot_latency_s=0.006)

@@ -22,6 +22,7 @@ from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface
 from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, make_driver
 from fastmimic.deploy.log import LOG, RESULT, GroundTruthLog, open_deployment
+from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.loading import find_motion
@@ -79,6 +80,7 @@ class Deploy:
     endless: opt.Flag = False
     """Run until s or a stop."""
     robot: opt.RobotChoice = None
+    foot_force: opt.FootForce = "auto"
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
     policy: opt.PolicyFile = None
@@ -179,6 +181,7 @@ class Deploy:
             config=self.config,
             policy=policy,
             solve_rate_hz=self.solve_rate,
+            estimator=EstimatorConfig(foot_force=self.foot_force),
             cycles=self.cycles,
             duration_s=self.duration,
             endless=self.endless,
@@ -301,6 +304,7 @@ class RobotSim:
     """Sensors with or without noise, bias and latency."""
     seed: int = 0
     """Seed of the sensor noise and the faults."""
+    disturb: opt.Disturbances = ()
     watchdog_ms: Annotated[float, opt.option("MS")] = 20.0
     """Time without a command after which the motors damp."""
     duration: opt.Seconds = None
@@ -339,6 +343,7 @@ class RobotSim:
         """The checked settings of the server."""
         from fastmimic.deploy.sim import LinkFaults
         from fastmimic.deploy.sim_server import SimSettings
+        from fastmimic.simulation.conditions import parse_disturbance
         from fastmimic.simulation.config import ideal_sensors
 
         check_interface(self.interface)
@@ -355,6 +360,7 @@ class RobotSim:
             start=self.start,
             sensors=ideal_sensors() if self.sensors == "ideal" else None,
             seed=self.seed,
+            disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
             states=LinkFaults(latency_s=fault.latency_ms / 1e3, seed=self.seed, **states),
             commands=LinkFaults(latency_s=fault.command_latency_ms / 1e3, seed=self.seed, **commands),
             watchdog_s=self.watchdog_ms / 1e3,

@@ -16,6 +16,7 @@ from fastmimic.commands.show import figure_rows, provenance, yes_no
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
 from fastmimic.episode.run_log import RunLog
+from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
 from fastmimic.simulation.conditions import parse_disturbance
 
@@ -45,6 +46,7 @@ class Evaluate:
     config: opt.FoundConfig = None
     policy: opt.PolicyFile = None
     observe: opt.Observation = "truth"
+    foot_force: opt.FootForce = "auto"
     simulator: opt.Simulator = "mujoco"
     disturb: opt.Disturbances = ()
     terrain: opt.TerrainName = None
@@ -73,7 +75,10 @@ class Evaluate:
             disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
             terrain=opt.ground_of(self.terrain),
             ideal=self.ideal,
+            estimator=EstimatorConfig(foot_force=self.foot_force),
         )
+        if self.foot_force != "auto" and self.observe != "sensors":
+            raise ConfigError("--foot-force is for a controller that sees sensors; add --observe sensors")
         if self.log is not None:
             opt.check_writable(self.log, ".npz")
             if self.observe != "sensors":
@@ -159,6 +164,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
             ("  height rmse, mm", f"{1e3 * figures['estimate_height_rmse_m']:.1f}"),
             ("  tilt rmse, mrad", f"{1e3 * figures['estimate_tilt_rmse_rad']:.1f}"),
             ("  heading error, mrad", f"{1e3 * figures['estimate_heading_error_rad']:.1f}"),
+            ("  foot sensors in use", f"{figures['estimate_foot_sensors_share']:.0%}"),
         ]
     episodes = f"{figures['episodes']} episode{'s' if several else ''} of {figures['duration_s']:g} s"
     method = figures["method"] + (f" ({figures['config']})" if figures["config"] != "default" else "")

@@ -279,7 +279,7 @@ class Stress(ExperimentOptions):
         from fastmimic.report.experiment_figures import STRESS_FILES, write_stress
 
         check_methods(self.methods, self.policy is not None)
-        names = disturbances_of(self.disturbances, self.simulator)
+        names = disturbances_of(self.disturbances, self.simulator, self.observe)
         robot, motion = self.clip.load(self.motion, self.robot)
         settings = StressSettings(
             robot=robot.name,

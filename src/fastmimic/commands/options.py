@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
@@ -92,6 +92,12 @@ PolicyFile = Annotated[
 Simulator = Annotated[str, option("NAME", lambda: f"Simulator: {simulators()}.")]
 Observation = Annotated[
     str, option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors.")
+]
+FootForce = Annotated[
+    Literal["auto", "off", "on"],
+    option(
+        "auto|off|on", "Contact by joint torques, and by foot sensors found right; off: without; on: by them alone."
+    ),
 ]
 Disturbances = Annotated[
     Several,

@@ -20,6 +20,7 @@ from fastmimic.deploy.log import DeploymentLog, Recorder
 from fastmimic.deploy.realtime_loop import Loop, LoopOutcome
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
+from fastmimic.deploy.sim import TIPPED
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.episode.loop import MakeController
 from fastmimic.episode.metrics import Metrics
@@ -169,6 +170,8 @@ def deploy(
         "method": method,
         "config": config.as_dict(),
         "latency_s": machine.estimator.config.latency_s,
+        "foot_force": machine.estimator.config.foot_force,
+        "foot_sensors": [leg for leg, used in zip(LEGS, machine.estimator.believed[0], strict=True) if used],
         "limits": dataclasses.asdict(limits),
         "torque_limit": robot.torque_limit.tolist(),
         "joint_speed_limit": robot.joint_speed_limit.tolist(),
@@ -275,8 +278,11 @@ def result_of(
         "write_us": sent["write_s"],
         "round_trip_us": sent["round_trip_s"][sent["fresh"]],
     }
+    quat = rows["reading"]["quat"] if log.truth is None else log.truth["root_quat"]
+    tipped = 1 - 2 * (quat[:, 1] ** 2 + quat[:, 2] ** 2) < TIPPED
+    fell = outcome.stopped_by in (StopReason.TILT, StopReason.HEIGHT) or bool(tipped.any())
     return {
-        "fell": outcome.stopped_by in (StopReason.TILT, StopReason.HEIGHT) or bool(true is not None and true.fell[0]),
+        "fell": fell or bool(true is not None and true.fell[0]),
         "stopped_by": outcome.stopped_by.value,
         "stopped_because": outcome.text or None,
         "stopped_in": outcome.phase.text,
@@ -287,6 +293,8 @@ def result_of(
         **{name: _microseconds(seconds) for name, seconds in times.items()},
         "packets": dataclasses.asdict(outcome.packets),
         "commands_cut": int((rows["cut"] > 0).sum()),
+        "foot_force": log.meta["foot_force"],
+        "foot_sensors": log.meta["foot_sensors"],
         "cycles": float(rows["in_motion"].sum() / log.motion.n_samples),
         **figures(score_log(robot, log, config)),
         "reward_truth_mean": truly["reward_mean"],
@@ -316,6 +324,8 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     if r["swing_clearance_m"] is not None:
         heights = zip(LEGS, r["swing_clearance_m"], strict=True)
         rows.append(("swing clearance, mm", ", ".join(f"{leg} {number(c, 0, 1e3)}" for leg, c in heights)))
+    if "foot_force" in r:  # not in a log of before
+        rows.append(("contact by", _contact_by(r["foot_force"], r["foot_sensors"])))
     missed = f"{r['deadline_misses']} late, {r['periods_skipped']} skipped"
     rows.append(("periods", f"{r['periods']} at {r['rate_hz']:g} Hz, {missed}"))
     for name, title in _TIMES.items() if r["control_us"]["max"] else ():
@@ -324,6 +334,15 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     rows.append(("commands cut to the limits", str(r["commands_cut"])))
     rows.append(("packets", ", ".join(f"{packets[name]} {name}" for name in ("sent", "received", "lost", "rejected"))))
     return rows
+
+
+def _contact_by(foot_force: str, used: list[str]) -> str:
+    """What told the robot of its contacts, in words."""
+    if foot_force != "auto":
+        return "joint torques" if foot_force == "off" else "foot sensors"
+    unused = ", ".join(leg for leg in LEGS if leg not in used)
+    said = f"joint torques, and foot sensors {', '.join(used)}" if used else "joint torques"
+    return said + (f"; foot sensors {unused} were not found right" if unused else "")
 
 
 def command_table(log: DeploymentLog) -> list[str]:

@@ -15,7 +15,7 @@ from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_
 from fastmimic.reference.standing import rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, READING
-from fastmimic.simulation.conditions import Conditions, episode_generator
+from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import make_simulation
 
@@ -23,7 +23,7 @@ STARTS: Final = ("lying", "standing")
 WATCHDOG_S: Final = 0.02  # without a command for longer, the motors only damp
 _SETTLE_S: Final = 0.5
 _MOVE_S: Final = 1.5  # for standing up or lying down
-_TIPPED: Final = 0.5  # cosine of the tilt beyond which it has fallen
+TIPPED: Final = 0.5  # cosine of the tilt beyond which it has fallen
 _SENSORS: Final = 1  # number of the random stream, as in the closed loop
 _MOST_BEHIND_S: Final = 0.25
 _IMPACT: Final = 0.7  # m/s; landing faster on anything but the feet is a fall
@@ -132,7 +132,7 @@ class SimulatedBody:
         self.steps += 1
         _, x, y, _ = self.observation["root_quat"][0]
         landed = self.observation["other_contact"][0] > 0 and falling > _IMPACT
-        self.fell = self.fell or bool(1 - 2 * (x * x + y * y) < _TIPPED or landed)
+        self.fell = self.fell or bool(1 - 2 * (x * x + y * y) < TIPPED or landed)
 
     def measure(self) -> NDArray[Any]:
         """(1,) of `READING`, delivered by the sensors after this step."""
@@ -258,7 +258,8 @@ class SimDriver(RobotDriver):
         self._faults = faults if faults is not None else LinkFaults()
         self._dt = 1.0 / rate_hz
         simulation = make_simulation(robot, 1, chosen, control_rate_hz=rate_hz)
-        sensors = Sensors(robot, 1, rate_hz, chosen.sensors)
+        world = make_world(chosen.disturbances, 1, chosen.simulator)
+        sensors = Sensors(robot, 1, rate_hz, chosen.sensors, world)
         self.body = SimulatedBody(robot, simulation, sensors, rate_hz, start)
         self._is_open = False
         self._truth: list[NDArray[Any]] = []

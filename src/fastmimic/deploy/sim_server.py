@@ -19,8 +19,9 @@ from fastmimic.deploy.log import GroundTruthLog
 from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
+from fastmimic.simulation.conditions import Disturbance, make_world
 from fastmimic.simulation.config import SensorConfig
-from fastmimic.simulation.mujoco_sim import MujocoSimulation
+from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 from fastmimic.simulation.sensors import Sensors
 
 PHYSICS_RATE_HZ: Final = 1000.0
@@ -42,6 +43,7 @@ class SimSettings:
     start: str = parameter(STARTS[0], choices=STARTS, about="how it starts")
     sensors: SensorConfig | None = None
     seed: int = parameter(0, low=None, about="seed of the sensors' errors")
+    disturbances: tuple[Disturbance, ...] = ()
     states: LinkFaults = field(default_factory=LinkFaults)
     commands: LinkFaults = field(default_factory=LinkFaults)
     watchdog_s: float = parameter(WATCHDOG_S, above=0.0, unit="s", about="after which motors without commands damp")
@@ -73,10 +75,12 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
         usual = SensorConfig()
         names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
         config = dataclasses.replace(usual, **{name: getattr(usual, name) - _LINK_S for name in names})
+    world = make_world(settings.disturbances, 1, "mujoco")
     simulation = MujocoSimulation(robot, 1, control_rate_hz=rate, physics_rate_hz=rate)
-    body = SimulatedBody(
-        robot, simulation, Sensors(robot, 1, RATE_HZ, config), rate, settings.start, settings.watchdog_s
-    )
+    if not all(d.kind.sensed for d in settings.disturbances):
+        simulation = DisturbedMujocoSimulation(robot, 1, settings.disturbances, control_rate_hz=rate)
+    sensors = Sensors(robot, 1, RATE_HZ, config, world)
+    body = SimulatedBody(robot, simulation, sensors, rate, settings.start, settings.watchdog_s)
     body.reset(np.random.default_rng(settings.seed))
     return body
 

@@ -93,6 +93,7 @@ class Metrics:
                 "height_rmse_m": rms(r.estimation.height_rmse),
                 "tilt_rmse_rad": rms(r.estimation.tilt_rmse),
                 "heading_error_rad": rms(r.estimation.heading_error),
+                "foot_sensors_share": float(r.estimation.foot_sensors.mean()),
             },
         )
 

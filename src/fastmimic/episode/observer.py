@@ -12,7 +12,7 @@ from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.estimation.estimator import Estimator
 from fastmimic.reference.table import advance_clocks
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, episode_generator
+from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
 
 MIN_DISTANCE: Final = 0.5  # m; a robot that stays where it is has no drift per distance
@@ -27,13 +27,15 @@ _ERRORS: Final = record_dtype(
 class EstimationErrors:
     """Estimate against truth in n episodes, until the fall or the end, (n,) each: errors of the base's velocity vector,
     m/s, and height, m; the angle between the true and the estimated vertical, rad; at the end the heading's error, rad,
-    and the horizontal one in % of the distance travelled, NaN if that is less than 0.5 m."""
+    and the horizontal one in % of the distance travelled, NaN if that is less than 0.5 m; and (n, 4) whether each foot
+    sensor counts at the end."""
 
     velocity_rmse: Array
     position_drift: Array
     height_rmse: Array
     tilt_rmse: Array
     heading_error: Array
+    foot_sensors: NDArray[np.bool_]
 
 
 @kernel
@@ -65,7 +67,8 @@ class Observer:
     """Sensors and estimator of n robots, and their controllers' clocks."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, conditions: Conditions) -> None:
-        self.sensors = Sensors(robot, n, rate_hz, conditions.sensors)
+        world = make_world(conditions.disturbances, n, conditions.simulator)
+        self.sensors = Sensors(robot, n, rate_hz, conditions.sensors, world)
         self.estimator = Estimator(robot, n, rate_hz, conditions.estimator)
         self._seed = conditions.seed
         self._errors = np.zeros(n, _ERRORS)
@@ -115,4 +118,5 @@ class Observer:
             height_rmse=np.sqrt(e["height_sq"] / steps),
             tilt_rmse=np.sqrt(e["tilt_sq"] / steps),
             heading_error=e["heading"].copy(),
+            foot_sensors=self.estimator.believed,
         )

@@ -1,7 +1,7 @@
 """The estimator's parameters: one set for all motions and all robots."""
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,8 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, record_dtype
 from fastmimic.robot import Robot
+
+FOOT_FORCES: Final = ("auto", "off", "on")
 
 
 @documented
@@ -67,16 +69,43 @@ class EstimatorConfig:
         about="Mahalanobis distance of a standing leg's velocity beyond which the foot counts as sliding: it then gets"
         " a new anchor and a smaller weight",
     )
+    foot_force: Literal["auto", "off", "on"] = parameter(
+        "auto",
+        choices=FOOT_FORCES,
+        about="what tells contact. off: joint torques; auto: foot sensors as well, once they are found right; on: foot"
+        " sensors alone",
+    )
+    torque_time: float = parameter(
+        0.003, unit="s", above=0.0, about="lag of torques and joint speeds: the inverse of the momentum observer's gain"
+    )
+    load_noise: float = parameter(
+        0.02, unit="weights", above=0.0, scale="weight", about="least noise of a load by torques; more is learnt"
+    )
+    load_odds: float = parameter(1.25, about="load, in units of its noise, that speaks neither for nor against contact")
+    schedule_odds: float = parameter(0.5, about="log-odds of contact in scheduled stance, and against it in swing")
+    height_scale: float = parameter(
+        0.005, unit="m", above=0.0, about="height over the ground that takes one from the log-odds of contact"
+    )
+    height_lead: float = parameter(0.02, unit="s", about="how far ahead that height is, at the foot's present speed")
+    release_time: float = parameter(0.016, unit="s", about="how long a foot in scheduled stance may be without load")
+    learn_time: float = parameter(
+        1.0, unit="s", above=0.0, key="", about="memory of what swinging legs teach, and of how foot sensors compare"
+    )
     contact_force: float = parameter(
-        0.1, unit="weights", above=0.0, scale="weight", about="force above which a foot touches the ground"
+        0.1,
+        unit="weights",
+        above=0.0,
+        scale="weight",
+        about="force on a foot sensor above which the foot touches the ground; how much a load must vary for the sensor"
+        " to be found right",
     )
     release_force: float = parameter(
-        0.05, unit="weights", scale="weight", about="force below which it no longer touches the ground"
+        0.05, unit="weights", scale="weight", about="force on a foot sensor below which the foot no longer touches"
     )
     settle_time: float = parameter(0.04, unit="s", about="time after touch-down in which a foot has a smaller weight")
     force_time: float = parameter(0.004, unit="s", key="", about="time constant of the foot sensors' smoothing")
     tare_delay: float = parameter(
-        0.06, unit="s", about="time after lift-off from which the force sensor's reading is taken as its offset"
+        0.06, unit="s", about="time after lift-off from which a leg is in mid-swing: a foot sensor feels its offset"
     )
     tare_time: float = parameter(0.1, unit="s", above=0.0, key="", about="time constant of that offset")
 
@@ -94,7 +123,8 @@ CONFIG: Final = record_dtype(
         *floats(dt=()),
         *record_fields(EstimatorConfig),
         *floats(accel_var=(), position_var=(), velocity_var=(), foot_var=(), height_var=(), gate_sq=()),
-        *floats(orientation_gain=(), force_gain=(), tare_gain=(), foot_radius=(), geometry=(4, 12)),
+        *floats(orientation_gain=(), force_gain=(), tare_gain=(), torque_gain=(), swing_gain=(), learn_gain=()),
+        *floats(weight=(), foot_radius=(), geometry=(4, 12)),
     ]
 )
 """Configuration and robot as the kernels read them; variances are those of one control step."""
@@ -115,6 +145,10 @@ def pack_config(config: EstimatorConfig, robot: Robot, rate_hz: float) -> NDArra
     record["gate_sq"] = config.slip_gate**2
     record["force_gain"] = dt / (dt + config.force_time)
     record["tare_gain"] = min(1.0, dt / config.tare_time)
+    record["torque_gain"] = dt / (dt + config.torque_time)
+    record["swing_gain"] = dt / (dt + config.latency_s + config.torque_time)
+    record["learn_gain"] = min(1.0, dt / config.learn_time)
+    record["weight"] = robot.mass * GRAVITY
     record["foot_radius"] = robot.foot_radius
     record["geometry"] = robot.geometry
     return record

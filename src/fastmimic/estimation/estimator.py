@@ -7,9 +7,19 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, quat_to_matrix, times
 from fastmimic.estimation.config import EstimatorConfig, pack_config
+from fastmimic.estimation.contact import (
+    CONTACT_SCRATCH,
+    CONTACT_STATE,
+    FUSED,
+    SENSORS,
+    begin_contact,
+    estimate_contact,
+    feel_ground,
+    solve_swing,
+)
 from fastmimic.estimation.kalman import (
     STATES,
     anchor,
@@ -22,7 +32,7 @@ from fastmimic.estimation.kalman import (
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.kinematics import leg_forward, leg_jacobian
-from fastmimic.robot.state import OBSERVATION
+from fastmimic.robot.state import OBSERVATION, pack_model
 
 START_VELOCITY_NOISE: Final = 0.1  # m/s
 START_HEIGHT_NOISE: Final = 0.01  # m
@@ -33,16 +43,13 @@ START: Final = record_dtype(floats(position=2, heading=(), velocity=3))
 STATE: Final = record_dtype(
     [
         *floats(quat=4, heading=(), ground=2, ground_time=(), estimate=(3, STATES), cov=(2, STATES, STATES), slow=15),
-        *floats(tare=4, filtered=4, force=4),
-        *integers(loaded=4),
-        *floats(swing_time=4, stance_time=4),
+        *CONTACT_STATE,
     ]
 )
 """The estimator's state of one robot: orientation by the IMU, and the heading of its world in ours; the small rotation
 about x and y from its level frame to the ground's, and the present time constant of learning it; by axis of the
 ground's frame, the estimate of (p, v, four feet), with its covariance for x and y and for z; gyro and joint speeds,
-smoothed; the foot sensors' offsets, their smoothed readings, and the loads, N; whether feet are loaded, how long they
-have swung, and how long they have borne the estimate, s."""
+smoothed; and what `CONTACT_STATE` holds of the feet."""
 
 SCRATCH: Final = record_dtype(
     [
@@ -52,6 +59,7 @@ SCRATCH: Final = record_dtype(
         *floats(roll=(4, 3)),  # velocity of the feet's centres where they roll, world
         *floats(velocity=(4, 3)),  # of the base by each leg, world
         *floats(work=(2, STATES), quat=4),
+        *CONTACT_SCRATCH,
     ]
 )
 """Work memory of the kernels, one record per thread."""
@@ -149,27 +157,6 @@ def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
 
 
 @inlined
-def _estimate_contact(config: Any, state: Any, leg: int, force: float, planned: bool) -> None:
-    """Advances one foot's contact by one control step; `force` is measured in N, `planned` means scheduled stance. The
-    sensor's offset is learnt while the leg swings, as it cannot be told from a load otherwise; the rest goes through
-    hysteresis. A foot bears the base's estimate if it is loaded in scheduled stance: a loaded foot in early swing is
-    being pulled away."""
-    state.swing_time[leg] = 0.0 if planned else state.swing_time[leg] + config.dt
-    state.filtered[leg] += config.force_gain * (force - state.filtered[leg])
-    load = state.filtered[leg] - state.tare[leg]
-    if state.loaded[leg] == 1:
-        if load < config.release_force:
-            state.loaded[leg] = 0
-    elif load > config.contact_force:
-        state.loaded[leg] = 1
-    if state.loaded[leg] == 0 and state.swing_time[leg] > config.tare_delay:
-        state.tare[leg] += config.tare_gain * load
-    state.force[leg] = max(load, 0.0) if state.loaded[leg] == 1 else 0.0
-    bears = planned and state.loaded[leg] == 1
-    state.stance_time[leg] = state.stance_time[leg] + config.dt if bears else 0.0
-
-
-@inlined
 def _lean_on_ground(config: Any, state: Any, scratch: Any) -> None:
     """Turns the frame into the plane of the standing feet, by their kinematic heights above it (normalised LMS). While
     a rotation (e_x, e_y) is missing, feet at (x, y) from the base seem higher by e_y x − e_x y."""
@@ -241,8 +228,10 @@ def _tell(config: Any, state: Any, reading: Any, scratch: Any, out: Any) -> None
 
 
 @kernel
-def estimate_step(config: Any, states: Any, readings: Any, planned: Any, outs: Any, scratches: Any) -> None:
-    """Takes in the readings of all robots and writes what their controllers are told. (1,) records: `config`,
+def estimate_step(
+    config: Any, models: Any, states: Any, readings: Any, planned: Any, outs: Any, scratches: Any
+) -> None:
+    """Takes in the readings of all robots and writes what their controllers are told. (1,) records: `config`, `models`,
     `scratches`. (n,) records: `states` of `STATE`, `readings` of `READING`, `outs` of `OBSERVATION`. `planned` (n, 4):
     whether the controller lets each leg stand."""
     c, scratch = config[0], scratches[0]
@@ -251,11 +240,14 @@ def estimate_step(config: Any, states: Any, readings: Any, planned: Any, outs: A
         _follow_orientation(c, state, reading, scratch.quat)
         _sense(c, state, reading, scratch)
         predict(state.estimate, state.cov, scratch.accel, scratch.roll, c.accel_var, c.foot_var, c.dt)
+        if c.foot_force != SENSORS:
+            feel_ground(c, models[0], state, reading, scratch)
         for leg in range(4):
             stood = state.stance_time[leg] > 0.0
-            _estimate_contact(c, state, leg, reading.foot_force[leg], planned[i, leg] == 1)
+            estimate_contact(c, state, reading, scratch, leg, planned[i, leg] == 1)
             if not stood:
                 anchor(state.estimate, state.cov, leg, scratch.foot[leg], c.position_var)
+        solve_swing(state)
         for leg in range(4):
             if state.stance_time[leg] > 0.0:
                 _take_in_leg(c, state, scratch, leg)
@@ -289,13 +281,9 @@ def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, ou
         state.estimate[2, 0] = c.foot_radius - lowest
         state.cov[1, 0, 0] = START_HEIGHT_NOISE * START_HEIGHT_NOISE
         copy(start.velocity, state.estimate[:, 1])
+        begin_contact(c, state, reading, planned[i])
         for leg in range(4):
             anchor(state.estimate, state.cov, leg, scratch.foot[leg], c.position_var)
-            state.tare[leg], state.swing_time[leg], state.stance_time[leg] = 0.0, 0.0, 0.0
-            force = reading.foot_force[leg]
-            state.filtered[leg] = force
-            state.loaded[leg] = 1 if force > c.contact_force else 0
-            state.force[leg] = force if state.loaded[leg] == 1 else 0.0
             if planned[i, leg] == 1 and state.loaded[leg] == 1:
                 update_velocity(state.estimate, state.cov, scratch.velocity[leg], c.velocity_var, scratch.work)
         for k in range(3):
@@ -310,8 +298,14 @@ class Estimator:
         self.config = config if config is not None else EstimatorConfig()
         self.state = np.zeros(n, STATE)
         self.observation = np.zeros(n, OBSERVATION)
-        self._config = pack_config(self.config, robot, rate_hz)
+        self._config, self._model = pack_config(self.config, robot, rate_hz), pack_model(robot)
         self._scratch = np.zeros(1, SCRATCH)
+
+    @property
+    def believed(self) -> NDArray[np.bool_]:
+        """(n, 4): whose foot sensors count at present."""
+        mode = int(self._config["foot_force"][0])
+        return self.state["believed"] == 1 if mode == FUSED else np.full((len(self.state), 4), mode == SENSORS)
 
     def reset(self, readings: NDArray[Any], starts: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
         """Starts at known places, from the first readings, at rest or in motion; arguments and result as in `step`.
@@ -323,7 +317,6 @@ class Estimator:
     def step(self, readings: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
         """The present estimate, (n,) of `OBSERVATION`, from the readings of one control step; overwritten by the next
         call. `readings` is (n,) of `READING`, `planned` (n, 4) whether the controller lets each leg stand. The base's
-        pose and velocity are in the frame of the ground; foot forces are vertical, without sensor offset, 0 where a
-        foot does not touch."""
-        estimate_step(self._config, self.state, readings, planned, self.observation, self._scratch)
+        pose and velocity are in the frame of the ground; foot forces are vertical, 0 where a foot does not touch."""
+        estimate_step(self._config, self._model, self.state, readings, planned, self.observation, self._scratch)
         return self.observation

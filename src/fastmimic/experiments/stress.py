@@ -21,7 +21,7 @@ from fastmimic.experiments.experiment import Subject
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, Disturbance, TerrainLevel, known
+from fastmimic.simulation.conditions import Conditions, Disturbance, TerrainLevel, check_felt, known
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S, DisturbanceKind
 from fastmimic.simulation.terrain import TERRAINS
 
@@ -74,13 +74,15 @@ class Tolerance:
     nominal_success: float  # share of episodes without a fall under no disturbance
 
 
-def disturbances_of(names: Sequence[str] | None, simulator: str) -> list[str]:
-    """The given disturbances and terrains, or all that the simulator has; raises `ConfigError` for an unknown or
-    repeated one."""
+def disturbances_of(names: Sequence[str] | None, simulator: str, observe: str = "truth") -> list[str]:
+    """The given disturbances and terrains, or all that matter in the simulator with this observation; raises
+    `ConfigError` for an unknown or repeated one."""
     if names is None:
-        return [*known(simulator), *known(simulator, TERRAINS)]
+        felt = [name for name in known(simulator) if observe == "sensors" or not DISTURBANCES[name].sensed]
+        return [*felt, *known(simulator, TERRAINS)]
     for name in names:
         at_level(name, swept(name).nominal).check_realized(simulator)
+        check_felt(swept(name), observe)
     check_unique("disturbance", names)
     return list(names)
 

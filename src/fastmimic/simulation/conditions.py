@@ -170,6 +170,12 @@ def known(simulator: str, among: Mapping[str, DisturbanceKind] = DISTURBANCES) -
     return [name for name, kind in among.items() if kind.realized_in(simulator)]
 
 
+def check_felt(kind: DisturbanceKind, observe: str) -> None:
+    """Raises `ConfigError` if a controller that observes this does not notice the disturbance."""
+    if kind.sensed and observe != "sensors":
+        raise ConfigError(f"disturbance '{kind.name}' changes what sensors read; add --observe sensors")
+
+
 def driving_limit(limit: Array, top_speed: Array, joint_vel: Array) -> Array:
     """Motor torque (12,) available in the direction of motion, N·m: full to half the top speed, then linear to 0.
     `limit` is (12,) N·m, `top_speed` and `joint_vel` (12,) rad/s."""
@@ -318,6 +324,8 @@ class Conditions:
         object.__setattr__(self, "terrain", terrain)
         if terrain is not None:
             terrain.check_realized(self.simulator)
+        for d in read:
+            check_felt(d.kind, self.observe)
 
     @cached_property
     def ground(self) -> Terrain | None:

@@ -46,6 +46,7 @@ class DisturbanceKind:
     randomized: bool = False  # whether randomisation varies it by default
     per_robot: bool = True  # whether each robot of a batch may have its own value
     timed: bool = False  # whether it happens at a time
+    sensed: bool = False  # whether it changes the readings of sensors only, in every simulator
     apply: Mapping[str, Apply] = field(default_factory=dict)  # by simulator
     each_step: EachStep | None = None  # the same function for every simulator
 
@@ -55,7 +56,8 @@ class DisturbanceKind:
             object.__setattr__(self, "levels", tuple(sorted(levels)))
 
     def realized_in(self, simulator: str) -> bool:
-        return self.each_step is not None or simulator in self.apply or self.name in SIMULATORS[simulator].realizes
+        everywhere = self.sensed or self.each_step is not None
+        return everywhere or simulator in self.apply or self.name in SIMULATORS[simulator].realizes
 
     def show(self, value: float) -> str:
         """A value with its unit."""
@@ -250,6 +252,24 @@ DISTURBANCES: Final = Registry(
             about="the same to the left of its heading",
             levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0),
             usual=(-1.5, 1.5),
+        ),
+        DisturbanceKind(
+            "foot-force-scale",
+            lower=0.0,
+            upper=100.0,
+            about="what the foot sensors' readings are multiplied by: another unit, or dead sensors",
+            nominal=1.0,
+            levels=(0.0, 0.1, 0.5, 1.0, 2.0, 10.0),
+            sensed=True,
+        ),
+        DisturbanceKind(
+            "foot-force-offset",
+            unit="N",
+            lower=-500.0,
+            upper=500.0,
+            about="added to the foot sensors' readings",
+            levels=(-60.0, 0.0, 60.0),
+            sensed=True,
         ),
     ],
 )

@@ -14,6 +14,7 @@ from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, READING
+from fastmimic.simulation.conditions import World, make_world
 from fastmimic.simulation.config import SensorConfig
 
 _BLOCK: Final = 128  # control steps for which noise is drawn at once
@@ -23,11 +24,11 @@ _ERRORS: Final = record_dtype(
     [
         *integers(tick=()),
         *floats(gyro_bias=3, accel_bias=3, attitude=3, joint_offset=12, torque_gain=12, foot_gain=4, foot_offset=4),
-        *floats(velocity=3),
+        *floats(velocity=3, foot_scale=(), foot_constant=()),
     ]
 )
-"""One robot's lasting errors, and its velocity at the last IMU reading. `attitude` is the error of the IMU's
-orientation, a small rotation vector in the world frame."""
+"""One robot's lasting errors, with its foot sensors' unit, and its velocity at the last IMU reading. `attitude` is the
+error of the IMU's orientation, a small rotation vector in the world frame."""
 
 _NOISE: Final = record_dtype(
     [
@@ -153,7 +154,8 @@ def _measure(
             now.foot_force[leg] = last.foot_force[leg]
             if e.tick % c.periods[2] == 0:
                 force = e.foot_gain[leg] * max(truth.foot_force[leg, 2], 0.0) + e.foot_offset[leg]
-                now.foot_force[leg] = _rounded(force + c.foot_noise * noise.foot[leg], c.foot_quantum)
+                force = e.foot_scale * (force + c.foot_noise * noise.foot[leg]) + e.foot_constant
+                now.foot_force[leg] = _rounded(force, c.foot_quantum)
         out = outs[i]
         imu = ring[i, max(e.tick - c.delays[0], 0) % depth]
         joints = ring[i, max(e.tick - c.delays[1], 0) % depth]
@@ -168,10 +170,17 @@ def _measure(
 class Sensors:
     """The sensors of n robots. A robot's noise depends on its own generator alone."""
 
-    def __init__(self, robot: Robot, n: int, rate_hz: float, config: SensorConfig | None = None) -> None:
+    def __init__(
+        self, robot: Robot, n: int, rate_hz: float, config: SensorConfig | None = None, world: World | None = None
+    ) -> None:
+        """`world` holds the robots' disturbances: the delay of the motors' commands, and the foot sensors'
+        scale and offset; none if None."""
+        self._world = world = world if world is not None else make_world((), n, "mujoco")
         self.config = config if config is not None else SensorConfig()
         self._config = _pack(self.config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
+        self._late = np.round(world["delay"] * rate_hz).astype(np.int64)
+        self._sent = np.zeros((1 + int(self._late.max()), n), COMMAND)
         self._ring = np.zeros((n, 1 + int(self._config["delays"].max())), READING)
         self._noise = np.zeros((n, _BLOCK), _NOISE)
         self._normals = self._noise.view(np.float64).reshape(n, _BLOCK, _DRAWN)
@@ -190,6 +199,8 @@ class Sensors:
         self._generators, self._step = generators, 0
         errors, config = self._errors, self.config
         errors[...] = np.zeros((), _ERRORS)
+        errors["foot_scale"] = self._world["foot-force-scale"]
+        errors["foot_constant"] = self._world["foot-force-offset"]
         for i, rng in enumerate(generators):
             errors["gyro_bias"][i] = config.gyro_bias * rng.standard_normal(3)
             errors["accel_bias"][i] = config.accel_bias * rng.standard_normal(3)
@@ -208,8 +219,11 @@ class Sensors:
         if at == 0:
             for rng, block in zip(self._generators, self._normals, strict=True):
                 rng.standard_normal(out=block)
+        depth, robots = len(self._sent), np.arange(len(commands))
+        self._sent[self._step % depth] = commands
+        motors = self._sent[np.maximum(self._step - self._late, 0) % depth, robots]
         self._step += 1
-        _measure(self._config, self._errors, self._noise, truth, commands, self._ring, self.reading, at, self._work)
+        _measure(self._config, self._errors, self._noise, truth, motors, self._ring, self.reading, at, self._work)
         return self.reading
 
     def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
