@@ -18,18 +18,18 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.contacts import Stances, duty_factors, swings_of
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.report import MotionFigures, RetargetReport, with_bounds
-from fastmimic.retargeting.steps import Fitted, Retargeting
+from fastmimic.retargeting.steps import Retargeting
 from fastmimic.retargeting.track import ScaledClip, TrunkTrack, WorldPath, closing_error, cycle_displacement
 
 
-def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
+def make_report(work: Retargeting) -> RetargetReport:
     """The figures of one retargeting with their bounds."""
-    motion, track, pose = fitted.motion, fitted.track, fitted.pose
+    motion, track, pose = work.motion, work.track, work.pose
     n = motion.n_samples
-    planted = np.linalg.norm((motion.foot_pos_w - fitted.raw_w)[..., :2], axis=-1)
+    planted = np.linalg.norm((motion.foot_pos_w - work.raw_w)[..., :2], axis=-1)
     report = RetargetReport(
-        before=_animal_figures(work, fitted),
-        after=_robot_figures(work, fitted),
+        before=_animal_figures(work),
+        after=_robot_figures(work),
         scale=work.scale,
         is_cycle=track.cycle is not None,
         cycle_reason=work.cycle_reason,
@@ -50,25 +50,25 @@ def make_report(work: Retargeting, fitted: Fitted) -> RetargetReport:
     return with_bounds(report, work.config.turning_radius_m)
 
 
-def _animal_figures(work: Retargeting, fitted: Fitted) -> MotionFigures:
-    track, source, stances = fitted.track, work.source, work.stances
+def _animal_figures(work: Retargeting) -> MotionFigures:
+    track, source, stances = work.track, work.source, work.stances
     periodic = track.cycle is not None
     speed, turn = _travel_of_source(source, periodic)
     closure_m, closure_deg = closure_of_source(source) if periodic else (0.0, 0.0)
     return MotionFigures(
         period_s=work.duration,
-        slip_m=_listed(slip(fitted.raw_w, track, stances)),
+        slip_m=_listed(slip(work.raw_w, track, stances)),
         closure_m=closure_m,
         closure_deg=closure_deg,
-        duty=_listed(duty_factors(work.detected, fitted.motion.n_samples)),
+        duty=_listed(duty_factors(work.detected, work.n)),
         speed_m_per_s=speed,
         yaw_deg=float(np.degrees(turn)),
         clearance_m=_listed(mean_clearance(track.toe_height, stances, periodic)),
     )
 
 
-def _robot_figures(work: Retargeting, fitted: Fitted) -> MotionFigures:
-    motion, track, stances = fitted.motion, fitted.track, work.stances
+def _robot_figures(work: Retargeting) -> MotionFigures:
+    motion, track, stances = work.motion, work.track, work.stances
     feet = motion.foot_pos_w
     periodic = track.cycle is not None
     heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))

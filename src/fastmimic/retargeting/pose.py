@@ -49,18 +49,11 @@ class Pose:
 
 
 def solve_pose(
-    robot: Robot,
-    track: TrunkTrack,
-    feet_w: Array,
-    height: float,
-    config: RetargetConfig,
-    *,
-    max_lowering: float = 0.0,
-    max_raising: float = 0.0,
+    robot: Robot, track: TrunkTrack, feet_w: Array, height: float, config: RetargetConfig, max_raising: float
 ) -> Pose:
     """Inverse kinematics with the base moved by a constant from its mean `height`, m, over feet (t, 4, 3), world, m. It
-    is lowered until every foothold is in reach, at most `max_lowering` m, or raised until folded legs keep their limits
-    and knees their clearance, at most `max_raising` m."""
+    is lowered until every foothold is in reach, at most `config.max_lowering_m`, or raised until folded legs keep their
+    limits and knees their clearance, at most `max_raising` m."""
     lower, upper = _limits(robot, config)
     rest = track.root_z - track.root_z.mean() + height
     quat = trunk_quaternion(track.heading, track.tilt)
@@ -74,7 +67,7 @@ def solve_pose(
 
     best: tuple[float, float] | None = None
     up = round(max_raising / _STEP_M) if violation_at(0.0)[1] > 0 else 0
-    steps = np.arange(-up, round(max_lowering / _STEP_M) + 1)
+    steps = np.arange(-up, round(config.max_lowering_m / _STEP_M) + 1)
     for lowering in _STEP_M * steps[np.argsort(np.abs(steps), kind="stable")]:
         violation = violation_at(lowering)[0]
         if best is None or violation < best[0]:

@@ -73,8 +73,8 @@ def retarget(
     work.make_track()
     work.choose_height()
     work.schedule_contacts()
-    fitted = work.fit()
-    report = make_report(work, fitted)
+    work.fit()
+    report = make_report(work)
     provenance = Provenance(
         name=str(clip.meta.get("name", "motion")),
         robot=robot.name,
@@ -83,7 +83,7 @@ def retarget(
         retarget=report.as_dict(),
         held_s=work.held / clip.rate_hz if work.held else None,
     )
-    motion = replace(fitted.motion, provenance=provenance)
+    motion = replace(work.motion, provenance=provenance)
     if not executable or work.own_body or not config.consistent:
         return motion, report
     found = nearest_executable(robot, motion, falls=falls)

@@ -1,7 +1,7 @@
 """The steps of retargeting, on one object; the last turns a track into a kinematic motion of the robot: feet planted,
 joints within their ranges."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -9,17 +9,15 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
-from fastmimic.motion.contacts import Stances, contact_mask, detect, foot_activity
-from fastmimic.motion.motion import Motion
+from fastmimic.motion.contacts import contact_mask, detect, foot_activity
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
 from fastmimic.retargeting.feet import plant_feet
-from fastmimic.retargeting.pose import Pose, folding_rise, motion_of, solve_pose
+from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
 from fastmimic.retargeting.reach import Reach, foot_offsets, footholds
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.track import (
     ScaledClip,
-    TrunkTrack,
     cycle_displacement,
     extract,
     pose_mismatch,
@@ -28,79 +26,6 @@ from fastmimic.retargeting.track import (
 )
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import length_ratio
-
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A fitted motion, without provenance, with its track and its pose. `raw_w` (t, 4, 3) are the animal's foot paths
-    under that track, world; z is the height above the ground."""
-
-    motion: Motion
-    track: TrunkTrack
-    raw_w: Array
-    pose: Pose
-
-
-@dataclass(frozen=True, eq=False)
-class Fitter:
-    """The constants of a fit: the animal's `track` at the robot's size, and the nominal base `height`, m."""
-
-    robot: Robot
-    track: TrunkTrack
-    stances: Stances
-    height: float
-    rate_hz: float
-    config: RetargetConfig
-
-    @property
-    def reach(self) -> Reach:
-        """Of the legs at the nominal height."""
-        return Reach.of_robot(self.robot, self.height, self.config.reach_margin_rad)
-
-    @property
-    def periodic(self) -> bool:
-        return self.track.cycle is not None
-
-    def fit(self, offset: Array) -> Fitted:
-        """The motion with the feet shifted by `offset` (4, 2) against the robot's hips, m."""
-        raw_w = self._animal_feet(offset)
-        if not self.config.consistent:
-            return self._with_feet(raw_w, raw_w + np.array([0.0, 0.0, self.robot.foot_radius]), 0.0)
-        planted = self._planted(raw_w)
-        if self.periodic:
-            return self._with_feet(raw_w, planted, self.config.max_raising_m)
-        rise = folding_rise(self.robot, self.track, planted, self.height, self.config, self.rate_hz)
-        track = replace(self.track, root_z=self.track.root_z + rise)
-        raised = replace(self, track=track, height=self.height + float(rise.mean()))
-        return raised._with_feet(raw_w, raised._planted(raw_w), 0.0)
-
-    def _with_feet(self, raw_w: Array, feet_w: Array, max_raising: float) -> Fitted:
-        """The motion with its feet at (t, 4, 3), world, m."""
-        pose = solve_pose(
-            self.robot,
-            self.track,
-            feet_w,
-            self.height,
-            self.config,
-            max_lowering=self.config.max_lowering_m,
-            max_raising=max_raising,
-        )
-        contact = contact_mask(self.stances, len(self.track.root_z))
-        return Fitted(motion_of(pose, self.track, contact, self.rate_hz), self.track, raw_w, pose)
-
-    def _animal_feet(self, offset: Array) -> Array:
-        """The animal's foot paths (t, 4, 3) under the robot's hips, world; z is the height above the ground."""
-        track = self.track
-        local = self.robot.hip_pos_b[:, :2] + offset + track.toe_from_hip
-        xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
-        return np.concatenate([xy, track.toe_height[..., None]], axis=-1)
-
-    def _planted(self, raw_w: Array) -> Array:
-        linger = round(self.config.swing.linger_s * self.rate_hz)
-        holds = footholds(raw_w, self.track, self.stances, self.reach, linger)
-        highest, ground_z = self.reach.clearance, self.robot.foot_radius
-        return plant_feet(raw_w, self.track, self.stances, holds, highest, ground_z, self.rate_hz, self.config.swing)
-
 
 DOG_SCALE: Final = 0.825  # the A1's size over the dog's (Peng et al. 2020)
 _END_S: Final = 0.1  # final part that shows whether a recording comes to rest
@@ -130,6 +55,8 @@ class Retargeting:
         height: of the base, m.
         stances, changes: the contact schedule and its changes.
         offset: (4, 2) constant shifts of the feet against the hips, m.
+        raw_w: (n, 4, 3) the animal's foot paths under the track, world; z is the height above the ground, m.
+        pose, motion: of the robot with its feet planted; the motion is without provenance.
     """
 
     def __init__(
@@ -217,13 +144,37 @@ class Retargeting:
             self.stances, steps = with_steps(self.stances, travel, self.activity, self.rate_hz, config.schedule)
             self.changes = replace(self.changes, steps=steps)
 
-    def fit(self) -> Fitted:
-        """The motion, without provenance, and its intermediate results."""
+    def fit(self) -> None:
+        """Plants the feet and solves for the joints; raises the trunk of a motion that does not repeat for its legs."""
+        config, track, max_raising = self.config, self.track, 0.0
         self.offset = np.zeros((4, 2))
         if not self.own_body:
-            self.offset = foot_offsets(self.robot, self.track, self.stances, self.config.stance_width)
-        fitter = Fitter(self.robot, self.track, self.stances, self.height, self.rate_hz, self.config)
-        return fitter.fit(self.offset)
+            self.offset = foot_offsets(self.robot, track, self.stances, config.stance_width)
+        self.raw_w = self._animal_feet()
+        if not config.consistent:
+            feet_w = self.raw_w + np.array([0.0, 0.0, self.robot.foot_radius])
+        elif self.periodic:
+            feet_w, max_raising = self._planted(), config.max_raising_m
+        else:
+            rise = folding_rise(self.robot, track, self._planted(), self.height, config, self.rate_hz)
+            self.track = replace(track, root_z=track.root_z + rise)
+            self.height += float(rise.mean())
+            feet_w = self._planted()
+        self.pose = solve_pose(self.robot, self.track, feet_w, self.height, config, max_raising)
+        self.motion = motion_of(self.pose, self.track, contact_mask(self.stances, self.n), self.rate_hz)
+
+    def _animal_feet(self) -> Array:
+        track = self.track
+        local = self.robot.hip_pos_b[:, :2] + self.offset + track.toe_from_hip
+        xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
+        return np.concatenate([xy, track.toe_height[..., None]], axis=-1)
+
+    def _planted(self) -> Array:
+        """The feet (n, 4, 3) with their stances held, world, m."""
+        reach, swing = self._reach(), self.config.swing
+        holds = footholds(self.raw_w, self.track, self.stances, reach, round(swing.linger_s * self.rate_hz))
+        highest, ground_z = reach.clearance, self.robot.foot_radius
+        return plant_feet(self.raw_w, self.track, self.stances, holds, highest, ground_z, self.rate_hz, swing)
 
 
 def whether_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: RetargetConfig) -> tuple[bool, str]:
