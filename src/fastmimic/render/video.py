@@ -308,12 +308,8 @@ def _panels(
 
 def _low_pass(path: Array, width: float) -> Array:
     """Gaussian smoothing of (n, 3) without lag, `width` in samples; the ends continue in a straight line."""
+    from scipy.ndimage import gaussian_filter1d
+
     reach = max(1, int(3 * width))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(width, 1e-9)) ** 2)
-    kernel /= kernel.sum()
-    n = len(path)
-    index = np.arange(-reach, n + reach)
-    inside = np.clip(index, 0, n - 1)
-    mirror = np.clip(2 * inside - index, 0, n - 1)
-    extended = 2 * path[inside] - path[mirror]
-    return np.stack([np.convolve(column, kernel, mode="valid") for column in extended.T], axis=1)
+    extended = np.pad(path, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.asarray(gaussian_filter1d(extended, width, axis=0, radius=reach)[reach:-reach])
