@@ -5,8 +5,9 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -354,8 +355,9 @@ class Play:
         name = opt.robot_name(self.robot, *sources)
         robot = load_robot(name)
         # transitions take about a second each: another process makes them, so that the simulation keeps real time
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_behind_the_scenes) as executor:
-            executor.submit(warm_up, name)  # while this process loads
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+            with _deaf_to_ctrl_c():
+                executor.submit(warm_up, name)  # while this process loads
             with slow_start():
                 motions = load_motions(sources, robot)
                 library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
@@ -369,9 +371,14 @@ class Play:
                 executor.shutdown(wait=False, cancel_futures=True)
 
 
-def _behind_the_scenes() -> None:
-    """Ignores Ctrl-C: the serving process handles it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes that begin here ignore Ctrl-C, from their first moment on: the serving process handles it."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
