@@ -34,7 +34,7 @@ from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"
 MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "walk", "dog:canter")
-VARIANTS = ("no-step-timing", "paper-footholds", "constant-gains")
+VARIANTS = ("no-recovery-steps", "no-step-timing", "paper-footholds", "constant-gains")
 DIRECTIONS, PHASES = 8, 8
 PUSHED_AT_S, EPISODE_S, REJOINED_S = 1.0, 5.0, 1.5
 BACK_M_PER_S, BACK_RAD = 0.15, 0.1  # as near as a robot is to its reference again

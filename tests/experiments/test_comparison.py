@@ -171,7 +171,14 @@ class TestRows:
                 assert row["digest"] != whole["digest"]
         before = {r["variant"]: r["reward_mean_before"] for r in rows if r["method"] == "mbc-dmp" and r["seed"] == 0}
         # legs touch down in time in so short and smooth an episode, and fewer basis functions are no other controller
-        same = {"", "no-state-machine", "no-step-timing", "10-basis-functions", "25-basis-functions"}
+        same = {
+            "",
+            "no-state-machine",
+            "no-recovery-steps",
+            "no-step-timing",
+            "10-basis-functions",
+            "25-basis-functions",
+        }
         assert {name for name, reward in before.items() if reward == before[""]} == same
         styles = {r["variant"]: r["style_distance"] for r in rows if r["seed"] == 0 and r["method"] == "mbc-dmp"}
         assert styles["10-basis-functions"] != styles["25-basis-functions"] != styles[""]

@@ -181,6 +181,8 @@ def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     record = np.zeros(1, _RECORD)
     for part in (config, config.gait, config.stance, config.horizon, config.swing):
         pack(part, record, scales)
+    # other forces and footholds have no urgency
+    record["recovery_steps"] *= config.stance.forces == "instant" and config.stance.feedback == "regulator"
     record["dt"] = 1.0 / config.rate_hz
     record["horizon_interval"] = round(config.rate_hz / config.horizon.solve_rate_hz)
     return record

@@ -47,6 +47,19 @@ class GaitConfig:
     )
     least_step_time: float = parameter(0.05, unit="s", above=0.0, about="that this touch-down is brought forward to")
     most_haste: float = parameter(0.5, about="greatest haste, share of the reference's own rate; 0 for none")
+    recovery_steps: bool = parameter(
+        True,
+        about="trot for some steps where the next foot, on one side, cannot reach the capture point",
+    )
+    recovery_reach: tuple[float, float, float] = parameter(
+        (0.33, 0.22, 0.055),
+        unit="m",
+        scale="length",
+        above=0.0,
+        about="that reach, forwards and sideways, and how much less it is across to the other side, and more to the"
+        " foot's own",
+    )
+    recovery_switch_time: float = parameter(0.03, unit="s", about="least time between two switches of a leg meanwhile")
 
 
 @documented

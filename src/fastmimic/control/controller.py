@@ -24,6 +24,7 @@ from fastmimic.control.joint_commands import (
     swing_leg,
 )
 from fastmimic.control.native import make_workspace, seconds_now
+from fastmimic.control.recovery import LEAVES, begin_or_end_recovery, stay_with
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, stance_forces
 from fastmimic.control.tracking import (
     body_frame,
@@ -33,14 +34,16 @@ from fastmimic.control.tracking import (
     regulate,
 )
 from fastmimic.motion.motion import Motion
+from fastmimic.reference.recovery_gait import NO_RECOVERY, recovery_gaits
 from fastmimic.reference.regulator import STATES, constant_gains, motion_gains
-from fastmimic.reference.table import stack_tables
+from fastmimic.reference.table import CLOCK, advance_clock, stack_tables, steps_due, taken_up_at
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY, pack_model
 
 SCRATCH: Final = record_dtype(
     [
         ("rotation", "f8", (3, 3)),  # body → heading frame
+        ("candidate", "f8", (3, 3)),  # the same of a sample in its own heading frame
         ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
         ("heading", "f8", (2,)),  # cos and sin of the robot's
         ("turn", "f8", (2,)),  # cos and sin from the robot's heading to that of the reference's origin
@@ -112,14 +115,17 @@ def control_step(
     memories: Any,
     commands: Any,
     plans: Any,
+    trots: Any,
+    trot_gains: Any,
+    trot_clocks: Any,
     qps: Any,
     plan_qps: Any,
     scratches: Any,
     foresights: Any,
 ) -> None:
     """Computes the commands of all robots; robot i follows table min(i, k − 1) of (k, samples) at its clock, with gains
-    (1 or k, g). The records are (n,), those of the configuration, the model and the work memory (1,). The arguments are
-    flat because a call with tuples of arrays takes 2 µs longer."""
+    (1 or k, g), or one of the `trots` (p, m) at its own clock. The records are (n,), those of the configuration, the
+    model and the work memory (1,). The arguments are flat because a call with tuples of arrays takes 2 µs longer."""
     config, model, scratch = configs[0], models[0], scratches[0]
     for i in range(observations.shape[0]):
         table = tables[min(i, tables.shape[0] - 1)]
@@ -127,6 +133,16 @@ def control_step(
         ref = table[clock.sample]
         gain = gains[min(i, gains.shape[0] - 1), min(ref.gain, gains.shape[1] - 1)]
         compare_to_reference(model, ref, clock, obs, scratch)
+        piece = clock.sample * trots.shape[0] // table.shape[0]
+        trot, own = trots[piece], trot_clocks[i]
+        if config.recovery_steps == 1:
+            changed = begin_or_end_recovery(config, table, clock, gain, trot, own, obs, memory, scratch)
+            if memory.recovering > 0:
+                ref, clock = trot[own.sample], own
+                gain = trot_gains[piece, min(ref.gain, trot_gains.shape[1] - 1)]
+                compare_to_reference(model, ref, clock, obs, scratch)
+            if changed:
+                _take_over(config, ref, memory, scratch)
         body_frame(ref, scratch)
         estimate_disturbance(config, obs, memory, scratch)
         height_error = scratch.error[2]
@@ -149,6 +165,23 @@ def control_step(
             for j in range(3 * leg, 3 * leg + 3):
                 compensate_friction(model, command, j)
                 clip_command(config, model, command, j)
+        if memory.recovering > 0:
+            for _ in range(steps_due(own, trot.shape[0], memory.haste, trot)):
+                advance_clock(own, trot.shape[0], obs.root_pos[0], obs.root_pos[1], trot)
+            stay_with(own, trot, obs)
+            if memory.recovering == LEAVES:
+                memory.haste = taken_up_at(memory.taken_up)
+
+
+@inlined
+def _take_over(config: Any, ref: Any, memory: Any, scratch: Any) -> None:
+    """Takes feet in the air as they are, when the reference changes."""
+    for leg in range(4):
+        if memory.stance[leg] == 0:
+            lift_off(config, ref, memory, scratch, leg, scratch.error[2])
+        memory.early[leg] = 0
+        for a in range(2):
+            memory.lag[leg, a] = 0.0
 
 
 @inlined
@@ -265,8 +298,11 @@ class Controller:
         self.memory = np.zeros(n, MEMORY)
         self.command = np.zeros(n, COMMAND)
         self.plan = np.zeros(n, PLAN)
-        self._config = pack_config(self.config, robot)
+        self._trot_clocks = np.zeros(n, CLOCK)
+        self._robot, self._config = robot, pack_config(self.config, robot)
         self._model = pack_model(robot)
+        self._recovers: Motion | None = None
+        self.recover_with(motions[0])
         ahead = self._config["horizon"][0] == 1
         self._work = WorkMemory(
             qp=make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS),
@@ -274,6 +310,13 @@ class Controller:
             scratch=np.zeros(1, SCRATCH),
             foresight=np.zeros(1, FORESIGHT) if ahead else None,
         )
+
+    def recover_with(self, motion: Motion) -> None:
+        """Takes recovery steps from now on as they fit a motion."""
+        if motion is not self._recovers:
+            recovers = bool(self._config["recovery_steps"][0])
+            self._trots = recovery_gaits(motion, self._robot, self.config.regulator) if recovers else NO_RECOVERY
+            self._recovers = motion
 
     def reset(self, sample: NDArray[np.int64]) -> None:
         """Starts each robot in the leg states that its reference has at `sample` (n,)."""
@@ -287,5 +330,5 @@ class Controller:
         """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call. `observation` is (n,) of
         `OBSERVATION`, `clocks` (n,) of `CLOCK`."""
         robots = self.tables, self.gains, clocks, observation, self.memory, self.command, self.plan
-        control_step(self._config, self._model, *robots, *self._work)
+        control_step(self._config, self._model, *robots, *self._trots, self._trot_clocks, *self._work)
         return self.command

@@ -23,7 +23,8 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -
         if wanted != stood:
             _switch(memory, leg, 1 if wanted else 0)
         return stood and not wanted
-    may_switch = memory.since_switch[leg] >= config.min_switch_time
+    least = config.recovery_switch_time if memory.recovering > 0 else config.min_switch_time
+    may_switch = memory.since_switch[leg] >= least
     if memory.stance[leg] == 1:
         if loaded:
             memory.was_loaded[leg] = 1

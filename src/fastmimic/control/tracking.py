@@ -8,6 +8,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
+from fastmimic.control.recovery import find_urgency
 from fastmimic.control.stance import force_column, invert_symmetric_3x3
 from fastmimic.reference.regulator import FEET, RATES, STATES
 from fastmimic.robot.dynamics import leg_mass_moment
@@ -135,7 +136,7 @@ def expect_acceleration(model: Any, memory: Any, scratch: Any) -> None:
 
 
 @inlined
-def _make_haste(config: Any, ref: Any, gain: Any, memory: Any, state: Array) -> None:
+def _make_haste(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any, state: Array) -> None:
     """How much faster the reference's feet have to move, so that the next step can catch the robot: the distance of the
     capture point from the reference's, both from their feet, grows until a foot lands as an inverted pendulum falls."""
     x, y, n = 0.0, 0.0, 0
@@ -152,6 +153,7 @@ def _make_haste(config: Any, ref: Any, gain: Any, memory: Any, state: Array) -> 
     due = config.least_step_time
     if share < 1.0:
         due = max(due, -np.log(max(share, 1e-9)) / rate)
+    find_urgency(config, ref, gain, memory, scratch, x, y)
     memory.haste = min(max(gain.landing / due - 1.0, 0.0), config.most_haste)
 
 
@@ -168,14 +170,14 @@ def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> Non
     for leg in range(4):
         for a in range(2):
             if memory.stance[leg] == 1:
-                memory.lag[leg, a] += config.dt * memory.haste * scratch.ref_lin_vel[a]
+                memory.lag[leg, a] += config.dt * max(memory.haste, 0.0) * scratch.ref_lin_vel[a]
                 shift[leg, a], rate[leg, a] = -memory.lag[leg, a], 0.0
                 for k in range(3):
                     shift[leg, a] += rotation[a, k] * scratch.feet[leg, k]
                     shift[leg, a] -= reference_rotation[a, k] * ref.foot_pos[leg, k]
             state[FEET + 2 * leg + a] = shift[leg, a] + state[a]
             state[RATES + 2 * leg + a] = rate[leg, a]
-    _make_haste(config, ref, gain, memory, state)
+    _make_haste(config, ref, gain, memory, scratch, state)
     c, s = scratch.turn[0], scratch.turn[1]
     heading_vector(c, -s, ref.lin_acc, scratch.ref_lin_acc)
     heading_vector(c, -s, ref.ang_acc, scratch.ref_ang_acc)

@@ -364,7 +364,9 @@ def run_episodes(
 
 
 def share_of_falls(robot: Robot, motion: Motion) -> float:
-    """Share of 10 perturbed starts from which the robot falls in 10 s of a cycle under the default controller. The
-    starts are not those of evaluations."""
+    """Share of 10 perturbed starts from which the robot falls in 10 s of a cycle under the default controller, without
+    recovery steps: a motion should not need them. The starts are not those of evaluations."""
+    config = default_config()
+    config = dataclasses.replace(config, gait=dataclasses.replace(config.gait, recovery_steps=False))
     start = perturbed_start(10, start_room(motion, motion.period_s), np.random.default_rng(20_000))
-    return float(run_episodes(robot, motion, start=start).fell.mean())
+    return float(run_episodes(robot, motion, start=start, config=config).fell.mean())

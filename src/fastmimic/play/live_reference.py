@@ -16,6 +16,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError, unknown
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.episode.loop import on_ground
+from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition
 from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import Entry, MotionSet
@@ -134,6 +135,11 @@ class LiveReference:
     def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
         """Fills rows of `SAMPLE` with the reference from now on; if `scored`, the demonstration, modulated alike."""
         self._stream.fill(*self._courses(scored), self.place, self._modulation, rows)
+
+    @property
+    def demonstration(self) -> Motion:
+        """The present motion as the controller knows it; during a transition the one before it."""
+        return self._entry.motion
 
     @property
     def gains(self) -> NDArray[Any]:

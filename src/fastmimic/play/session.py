@@ -288,6 +288,7 @@ class LiveSession:
         self._clock["origin"] = self.reference.place["pose"]
         if self.controller.config.stance.feedback == "regulator":
             self.controller.gains = self.reference.gains[None]
+            self.controller.recover_with(self.reference.demonstration)
         commands = self.controller.step(self.simulation.observation, self._clock)
         self._control_s.append(time.perf_counter() - began)
         observation = self.simulation.step(commands)

@@ -37,7 +37,7 @@ _LOOK_S: Final = 3.0  # a cycle is followed for at least so long, until its gain
 _LEAST_LOAD: Final = 0.1  # what a foot counts at least
 _END: Final = 0.3  # share of the cost at the end of a motion that does not repeat, s
 
-GAINS: Final = record_dtype(floats(trunk=(6, STATES), weight=(6, 6), feet=(8, STATES), landing=()))
+GAINS: Final = record_dtype(floats(trunk=(6, STATES), weight=(6, 6), feet=(8, STATES), landing=(), side=()))
 """Gains in the heading frame: desired acceleration of the trunk (m/s², rad/s²) and of the swinging feet (m/s²), each
 minus the gain times the state; the weight of what is missing of the former, relative to `linear_cost`; and the time
 until a foot touches down next, s, 0 if none does."""
@@ -63,7 +63,9 @@ def regulator_gains(
     model = _Model(table, robot, config, dt, turn)
     n = len(model.step)
     gains = np.zeros(n, GAINS)
-    gains["landing"] = _until_landing(table[::GAIN_SAMPLES]["contact"] == 1, model.step, turn is not None)
+    gains["landing"], gains["side"] = _until_landing(
+        table[::GAIN_SAMPLES]["contact"] == 1, model.step, turn is not None, np.sign(robot.hip_pos_b[:, 1])
+    )
     end = _state_cost(config)
     value, rounds = _END * end, 1
     if turn is not None:
@@ -87,7 +89,7 @@ def regulator_gains(
     return gains
 
 
-def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool) -> Array:
+def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool, side: Array) -> tuple[Array, Array]:
     """Time (n,) until a foot touches down next, s; 0 if none does."""
     n = len(stands)
     lands = np.asarray(np.any(stands & ~np.roll(stands, 1, axis=0), axis=1))
@@ -96,9 +98,11 @@ def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool) -> Ar
     time = np.cumsum(np.concatenate([[0.0], step, step]))
     following = np.searchsorted(landings, np.arange(n), side="right")
     known = following < len(landings)
-    found = np.zeros(n)
+    found, sides = np.zeros(n), np.zeros(n)
     found[known] = time[landings[following[known]]] - time[:n][known]
-    return found
+    swings = ~stands[landings[following[known]] % n - 1]
+    sides[known] = (swings * side).sum(axis=1) / swings.sum(axis=1)
+    return found, sides
 
 
 def constant_gains(position: Array, velocity: Array, weight: Array) -> NDArray[Any]:

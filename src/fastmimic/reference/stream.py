@@ -60,7 +60,7 @@ class Stream:
         cycle x and y are synchronised to the robot's position `root_xy` (2,), m. With the controller's `haste` the feet
         advance by so much more, and the root goes on at its own pace."""
         other = course if following is None else following
-        _advance(course, other, place[0], modulation[0], self._dt, 1.0 + haste, True, root_xy[0], root_xy[1])
+        _advance(course, other, place[0], modulation[0], self._dt, 1.0 + max(haste, 0.0), True, root_xy[0], root_xy[1])
 
     def fill(
         self, course: Records, following: Records | None, place: Records, modulation: Records, table: Records

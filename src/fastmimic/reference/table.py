@@ -206,6 +206,16 @@ def _hold(clock: Any, at: tuple[float, float], wanted: tuple[float, float]) -> N
 
 
 @inlined
+def synchronise(clock: Any, table: Any, x: float, y: float, moved_x: float, moved_y: float) -> None:
+    """Moves the origin from where it had moved so that the reference is at (x, y)."""
+    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
+    root = table[clock.sample].root_pos
+    clock.origin[0] = x - (c * root[0] - s * root[1])
+    clock.origin[1] = y - (s * root[0] + c * root[1])
+    clock.jump += np.hypot(clock.origin[0] - moved_x, clock.origin[1] - moved_y)
+
+
+@inlined
 def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
     """Advances by one sample; at a start of a cycle the origin is re-synchronised to the robot at (x, y). A motion that
     does not repeat stays at its end."""
@@ -220,24 +230,37 @@ def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) ->
         moved_x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
         moved_y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
         clock.origin[2] += clock.cycle_step[2]
-    if table[clock.sample].sync == 0:
-        return
-    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    root = table[clock.sample].root_pos
-    clock.origin[0] = x - (c * root[0] - s * root[1])
-    clock.origin[1] = y - (s * root[0] + c * root[1])
-    clock.jump += np.hypot(clock.origin[0] - moved_x, clock.origin[1] - moved_y)
+    if table[clock.sample].sync == 1:
+        synchronise(clock, table, x, y, moved_x, moved_y)
+
+
+@inlined
+def taken_up_at(sample: int) -> float:
+    """What a controller gives in place of a haste: its motion, if it repeats, goes on from another sample and from
+    where the robot is."""
+    return -1.0 - sample
+
+
+@inlined
+def _take_up(clock: Any, table: Any, sample: int, x: float, y: float) -> None:
+    """Goes to a sample in the same heading, with the root at (x, y)."""
+    before, there = table[clock.sample].root_quat, table[sample].root_quat
+    clock.origin[2] += 2.0 * (np.arctan2(before[3], before[0]) - np.arctan2(there[3], there[0]))
+    clock.sample = sample
+    synchronise(clock, table, x, y, clock.origin[0], clock.origin[1])
 
 
 @kernel
 def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> None:
     """Advances clocks (n,) by one control step; robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`.
     `root_xy` (n, ≥2) are the present positions of the robots, world, m; `haste` (n,) is that of their controllers'
-    `MEMORY`."""
+    `MEMORY`, or `taken_up_at`."""
     n_samples = tables.shape[1]
     for i in range(clocks.shape[0]):
         clock, table = clocks[i], tables[min(i, tables.shape[0] - 1)]
-        due = steps_due(clock, n_samples, haste[i], table)
+        due = steps_due(clock, n_samples, max(haste[i], 0.0), table)
+        if haste[i] < 0.0 and clock.repeats == 1:
+            _take_up(clock, table, int(-haste[i]) - 1, root_xy[i, 0], root_xy[i, 1])
         if due > 0:
             advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
         if due > 1:

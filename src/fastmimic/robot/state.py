@@ -29,9 +29,20 @@ COMMAND: Final = record_dtype(floats(joint_pos=12, joint_vel=12, stiffness=12, d
 
 MEMORY: Final = record_dtype(
     [
-        *integers(stance=4, early=4, was_loaded=4, began=()),
+        *integers(stance=4, early=4, was_loaded=4, began=(), recovering=(), taken_up=()),
         *floats(since_switch=4, unloaded_time=4, liftoff_offset=(4, 3), force=(4, 3)),
-        *floats(foot_shift=(4, 2), foot_shift_rate=(4, 2), haste=(), lag=(4, 2), velocity=6, expected=6, disturbance=6),
+        *floats(
+            foot_shift=(4, 2),
+            foot_shift_rate=(4, 2),
+            haste=(),
+            urgency=(),
+            since_recovery=(),
+            calm=(),
+            lag=(4, 2),
+            velocity=6,
+            expected=6,
+            disturbance=6,
+        ),
         *integers(qp_failures=(), failed_in_a_row=(), horizon_failures=()),
         *floats(solve_time=()),
         *integers(early_touchdowns=()),
@@ -40,9 +51,9 @@ MEMORY: Final = record_dtype(
 """Controller memory of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and the time of
 the last horizon plan, s, 0 without one. `foot_shift` is where a foot is, or is to be, from the reference's, both from
 their trunks, heading frame, m, and its rate in the world, m/s. `haste` are the samples that the reference advances
-beyond one in a control step, and `lag` is how far a standing foot of the reference has got ahead by it, m. The trunk's
-`velocity` (world) and `expected` acceleration (heading frame) of the last step, linear and angular, tell the
-`disturbance` between them."""
+beyond one in a control step (or `taken_up_at`), and `lag` is how far a standing foot of the reference has got ahead by
+it, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's `velocity` (world) and
+`expected` acceleration (heading frame) of the last step, linear and angular, tell the `disturbance` between them."""
 
 MODEL: Final = record_dtype(
     [

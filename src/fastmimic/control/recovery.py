@@ -1,0 +1,179 @@
+"""Recovery steps: when no step of the motion can catch a pushed robot, it trots until one can.
+
+A trot is begun where the capture point leaves the reach of the next foot, if that foot is on one side alone: a foot of
+the other side may have to step first. The motion goes on meanwhile, and is taken up again when the robot is calm and
+its feet are where the motion's are.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.jit import inlined, kernel
+from fastmimic.base.vectors import quat_to_matrix, turn_rows
+
+LOOK_S: Final = 0.15  # how far ahead the capture point is looked at, at most
+ONE_SIDED: Final = 0.5  # share of the landing feet that are on one side more than on the other
+LATE_S: Final = 0.12  # with less than three feet on the ground, one that lands sooner is waited for
+NARROW_M: Final = 0.02  # least reach across
+CALM: Final = 0.6  # share of the reach within which a robot is back
+LEAST_S: Final = 0.35  # of a recovery
+NEAR_M: Final = 0.07  # how far feet and motion may be apart when it is taken up again
+PATIENCE_S: Final = 0.3  # in which this distance grows by itself
+VELOCITY_S: Final = 0.15  # by which a difference in velocity counts as a distance
+UPRIGHT: Final = 2.0  # by which a difference in a foot's height counts more
+SWINGING: Final = 0.25  # share of the distance of a foot that lifts off at once
+UNLIKE_M: Final = 0.02  # that another leg state counts
+LOADED_M: Final = 0.03  # that a foot counts which carries everything and lifts off soon
+SOON: Final = 15  # samples ahead
+WITHIN_S: Final = 0.5  # how far from its own time a motion is taken up again
+EACH: Final = 4  # samples, from one that is tried to the next
+RECOVERS, LEAVES = 1, 2  # states of a recovery; in the last step of it the motion is told where it is taken up
+
+
+@inlined
+def find_urgency(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any, x: float, y: float) -> None:
+    """How far the capture point, now at (x, y) from the reference's, will be off at the next touch-down, as a share of
+    what a foot can reach; 0 while it is between three feet or more."""
+    rate = np.sqrt(GRAVITY / ref.root_pos[2])
+    growth = np.exp(rate * min(gain.landing / (1.0 + config.most_haste), LOOK_S))
+    reach = config.recovery_reach
+    across = reach[1] + gain.side * reach[2] * (1.0 if y > 0.0 else -1.0)
+    memory.urgency = growth * np.hypot(x / reach[0], y / max(across, NARROW_M))
+    if _supported(memory, scratch, scratch.lin_vel[0] / rate, scratch.lin_vel[1] / rate):
+        memory.urgency = 0.0
+
+
+@inlined
+def _supported(memory: Any, scratch: Any, x: float, y: float) -> bool:
+    """Whether a point (from the centre of mass, heading frame, m) is between at least three standing feet."""
+    if _standing(memory) < 3:
+        return False
+    first, last = -1, -1
+    for leg in (0, 1, 3, 2):  # anticlockwise
+        if memory.stance[leg] == 0:
+            continue
+        if last >= 0 and not _left_of(scratch.arms[last], scratch.arms[leg], x, y):
+            return False
+        first = leg if first < 0 else first
+        last = leg
+    return _left_of(scratch.arms[last], scratch.arms[first], x, y)
+
+
+@inlined
+def _left_of(a: Any, b: Any, x: float, y: float) -> bool:
+    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]) > 0.0
+
+
+@inlined
+def _standing(memory: Any) -> int:
+    return memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
+
+
+@kernel
+def begin_or_end_recovery(
+    config: Any, table: Any, clock: Any, gain: Any, trot: Any, own: Any, obs: Any, memory: Any, scratch: Any
+) -> bool:
+    """Whether the robot now changes between its motion, a `table` (t,) of `SAMPLE`, and its `trot` (m,), whose clock is
+    `own`. `scratch` compares the robot with the motion."""
+    if memory.recovering == 0:
+        waits = _standing(memory) < 3 and gain.landing <= LATE_S
+        if memory.urgency <= 1.0 or abs(gain.side) <= ONE_SIDED or waits:
+            return False
+        memory.recovering, memory.since_recovery, memory.calm = RECOVERS, 0.0, 0.0
+        _begin(table[clock.sample], clock, trot, own, obs, memory, scratch)
+        return True
+    if memory.recovering == LEAVES:
+        memory.recovering = 0
+        return True
+    memory.since_recovery += config.dt
+    memory.calm = memory.calm + config.dt if memory.urgency < CALM else 0.0
+    if memory.since_recovery >= LEAST_S and memory.calm > 0.0:
+        near = NEAR_M * (1.0 + min(memory.calm / PATIENCE_S, 1.0))
+        sample = _taken_up_at(config, table, clock, obs, memory, scratch, near * near)
+        if sample >= 0:
+            memory.recovering, memory.taken_up = LEAVES, sample
+    return False
+
+
+@inlined
+def _begin(ref: Any, clock: Any, trot: Any, own: Any, obs: Any, memory: Any, scratch: Any) -> None:
+    """Puts the trot's clock at the sample whose feet are as high as the robot's, and that lifts unloaded feet next."""
+    n, weight = trot.shape[0], 1.0
+    for leg in range(4):
+        weight += max(obs.foot_force[leg, 2], 0.0)
+    best, least = 0, np.inf
+    for k in range(n):
+        row, cost = trot[k], 0.0
+        for leg in range(4):
+            height = obs.root_pos[2] - row.root_pos[2]
+            for a in range(3):
+                height += scratch.rotation[2, a] * scratch.feet[leg, a]
+                height -= scratch.reference_rotation[2, a] * row.foot_pos[leg, a]
+            cost += height * height
+            if row.contact[leg] != memory.stance[leg]:
+                cost += UNLIKE_M**2
+            if memory.stance[leg] == 1 and trot[(k + SOON) % n].contact[leg] == 0:
+                cost += LOADED_M**2 * max(obs.foot_force[leg, 2], 0.0) / weight
+        if cost < least:
+            best, least = k, cost
+    own.sample, own.repeats = best, 1
+    own.part = own.ahead = 0.0
+    turn = _yaw(trot[n - 1].root_quat) - _yaw(trot[0].root_quat)
+    own.cycle_step[2] = turn * n / (n - 1)
+    own.origin[2] = clock.origin[2] + _yaw(ref.root_quat) - _yaw(trot[best].root_quat)
+    stay_with(own, trot, obs)
+
+
+@inlined
+def _yaw(q: Any) -> float:
+    return float(np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
+
+
+@inlined
+def stay_with(own: Any, trot: Any, obs: Any) -> None:
+    """Puts the trot where the robot is: it has a velocity to keep, and no place."""
+    c, s, root = np.cos(own.origin[2]), np.sin(own.origin[2]), trot[own.sample].root_pos
+    own.origin[0] = obs.root_pos[0] - (c * root[0] - s * root[1])
+    own.origin[1] = obs.root_pos[1] - (s * root[0] + c * root[1])
+
+
+@inlined
+def _taken_up_at(config: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, most: float) -> int:
+    """The sample of a motion that is nearest to the robot, not farther than `most`, m², or −1. Of a motion that repeats
+    those within half a second count, of another one the present one alone."""
+    n, best, least = table.shape[0], -1, most
+    away = 0 if clock.repeats == 0 else min(int(WITHIN_S / config.dt), n // 2)
+    for d in range(-away, away + 1, EACH):
+        k = (clock.sample + d) % n
+        cost = _mismatch(table[k], obs, memory, scratch)
+        if cost < least:
+            best, least = k, cost
+    return best
+
+
+@inlined
+def _mismatch(row: Any, obs: Any, memory: Any, scratch: Any) -> float:
+    """Squared distance of a robot from a sample, m²: of the feet that stand here or there, of all feet's heights, and
+    of the velocity, in the heading frame of each. A foot that stands only there is out of the question."""
+    rotation = scratch.candidate
+    quat_to_matrix(row.root_quat, rotation)
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    turn_rows(c, -s, rotation)
+    x = c * row.lin_vel[0] + s * row.lin_vel[1] - scratch.lin_vel[0]
+    y = c * row.lin_vel[1] - s * row.lin_vel[0] - scratch.lin_vel[1]
+    cost = VELOCITY_S**2 * (x * x + y * y)
+    for leg in range(4):
+        if row.contact[leg] == 1 and memory.stance[leg] == 0:
+            return np.inf
+        for k in range(3):
+            d = obs.root_pos[2] - row.root_pos[2] if k == 2 else 0.0
+            for a in range(3):
+                d += scratch.rotation[k, a] * scratch.feet[leg, a] - rotation[k, a] * row.foot_pos[leg, a]
+            if k == 2:
+                cost += (UPRIGHT * d) ** 2
+            elif memory.stance[leg] == 1:
+                cost += d * d if row.contact[leg] == 1 else SWINGING * d * d
+    return cost
