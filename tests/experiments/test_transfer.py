@@ -15,7 +15,6 @@ from fastmimic.experiments.experiment import Subject, make_subject
 from fastmimic.experiments.transfer import (
     COLUMNS,
     IDENTIFIED,
-    LAST,
     SIMULATION,
     STAGES,
     TransferSettings,
@@ -58,7 +57,6 @@ class TestTrials:
 
     def test_the_last_stage_differs_in_everything(self) -> None:
         last = STAGES[-1]
-        assert last.name == LAST
         assert (last.simulator, last.observe) == ("pybullet", "sensors")
         given = {d.name: d.values[0] for d in last.disturbances}
         assert given["friction"] == 0.6
@@ -97,7 +95,9 @@ class TestIdentified:
     def test_has_a_column_of_its_own(self) -> None:
         rows = TestResults().made_up()
         rows += [
-            {**row, "stage": IDENTIFIED.name, "reward_mean": 0.76, "fell": 0.0} for row in rows if row["stage"] == LAST
+            {**row, "stage": IDENTIFIED.name, "reward_mean": 0.76, "fell": 0.0}
+            for row in rows
+            if row["stage"] == STAGES[-1].name
         ]
         table = transfer_table(rows, 0)
         assert "| (c) all | (c) identified | change to (c) identified |" in table

@@ -57,8 +57,7 @@ ACTUATORS: Final = (
     Disturbance("joint-friction", (0.2,)),
     Disturbance("joint-damping", (0.02,)),
 )
-"""The motors of the last stage. 28.6 rad/s is the speed limit of hip and knee in Unitree's URDF; the other values have
-the magnitude measured on robots of this class, not identified on one."""
+"""The motors of the last stage: values of the magnitude measured on robots of this class, not identified on one."""
 FLOOR: Final = Disturbance("friction", (0.6,))
 
 SIMULATION: Final = "simulation"
