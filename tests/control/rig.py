@@ -1,5 +1,7 @@
 """A controller at given samples of a motion, and what it is told: for the tests of its laws and of its batches."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fastmimic.base.rotations import quat_from_rotvec, quat_multiply
@@ -33,10 +35,12 @@ def disturbed(observation: np.ndarray, rng: np.random.Generator, size: float = 1
 
 
 class Rig:
-    """A controller and clocks, robots at given samples of its motion, the reference's origin where the motion is."""
+    """A controller and clocks, robots at given samples of its motion, the reference's origin where the motion is. The
+    ground is level for certain: tilted robots are not on a slope."""
 
     def __init__(self, robot: Robot, motions: list[Motion], samples: np.ndarray, config: ControllerConfig) -> None:
         self.samples = np.asarray(samples)
+        config = replace(config, gait=replace(config.gait, follow_ground=False))
         self.controller = Controller(robot, motions, len(self.samples), config)
         self.clocks = make_clocks(motions[0], len(self.samples))
         first = motions[0].root_pos_w[0]

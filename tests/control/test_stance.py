@@ -54,6 +54,7 @@ class Stance:
             self.inverse_inertia,
             self.arms,
             np.asarray(desired, float),
+            np.array([0.0, 0.0, GRAVITY]),
             np.diag(self.stance.acceleration_weight),
             self.memory[0],
             self.qp[0],

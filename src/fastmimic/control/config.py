@@ -130,6 +130,7 @@ def paper_config() -> ControllerConfig:
             adaptation="paper",
             leg_dynamics=False,
         ),
+        gait=GaitConfig(follow_ground=False),
         swing=SwingConfig(foothold="reference", leg_dynamics=False, level=0.0, liftoff_blend_time=0.0),
     )
 

@@ -47,6 +47,14 @@ class GaitConfig:
     )
     least_step_time: float = parameter(0.05, unit="s", above=0.0, about="that this touch-down is brought forward to")
     most_haste: float = parameter(0.5, about="greatest haste, share of the reference's own rate; 0 for none")
+    follow_ground: bool = parameter(
+        True,
+        about="the reference follows the plane through the footholds; feet are lifted on rough ground",
+    )
+    ground_time: float = parameter(0.3, unit="s", above=0.0, about="time constant with which this plane is followed")
+    rough_lift: float = parameter(
+        3.0, about="feet swing so many times higher than the footholds are off the plane, at most"
+    )
     recovery_steps: bool = parameter(
         True,
         about="trot for some steps where the next foot, on one side, cannot reach the capture point",

@@ -12,6 +12,7 @@ from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, transposed_times
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.config_parts import StanceConfig
+from fastmimic.control.footing import see_ground
 from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
@@ -38,7 +39,7 @@ from fastmimic.reference.recovery_gait import NO_RECOVERY, recovery_gaits
 from fastmimic.reference.regulator import STATES, constant_gains, motion_gains
 from fastmimic.reference.table import CLOCK, advance_clock, stack_tables, steps_due, taken_up_at
 from fastmimic.robot import Robot
-from fastmimic.robot.state import COMMAND, MEMORY, pack_model
+from fastmimic.robot.state import COMMAND, MEMORY, OBSERVATION, pack_model
 
 SCRATCH: Final = record_dtype(
     [
@@ -68,6 +69,10 @@ SCRATCH: Final = record_dtype(
         ("state", "f8", (STATES,)),  # of the regulator: robot minus reference
         ("change", "f8", (3,)),
         ("vector", "f8", (3,)),
+        ("quat", "f8", (4,)),
+        ("uphill", "f8", (3,)),  # acceleration that carries the weight, in the frame of the ground, m/s²
+        ("against", "f8", (3,)),  # the same in the heading frame
+        ("lean", "f8", (2,)),  # how far downhill the feet stand, for the weight to pass between them
         ("momentum", "f8", (6,)),  # of the legs: acceleration that the reference's take
         ("column", "f8", (6,)),
         # the same in the body frame, for the legs
@@ -104,6 +109,13 @@ class WorkMemory(NamedTuple):
     foresight: Any
 
 
+def _scratch() -> NDArray[Any]:
+    """Work memory (1,) on level ground."""
+    scratch = np.zeros(1, SCRATCH)
+    scratch["uphill"][:, 2] = GRAVITY
+    return scratch
+
+
 @kernel
 def control_step(
     configs: Any,
@@ -112,6 +124,7 @@ def control_step(
     gains: Any,
     clocks: Any,
     observations: Any,
+    seen: Any,
     memories: Any,
     commands: Any,
     plans: Any,
@@ -132,6 +145,9 @@ def control_step(
         clock, obs, memory, command = clocks[i], observations[i], memories[i], commands[i]
         ref = table[clock.sample]
         gain = gains[min(i, gains.shape[0] - 1), min(ref.gain, gains.shape[1] - 1)]
+        if config.follow_ground == 1:
+            see_ground(config, model, ref, obs, memory, seen[0], scratch)
+            obs = seen[0]
         compare_to_reference(model, ref, clock, obs, scratch)
         piece = clock.sample * trots.shape[0] // table.shape[0]
         trot, own = trots[piece], trot_clocks[i]
@@ -192,7 +208,7 @@ def _forces(config: Any, model: Any, ref: Any, gain: Any, memory: Any, planned: 
         limit = config.acceleration_limit[k]
         desired[k] = min(max(desired[k], -limit), limit)
     for k in range(3):
-        gravity_acc[k] = desired[k] + (GRAVITY if k == 2 else 0.0)
+        gravity_acc[k] = desired[k] + scratch.against[k]
     transposed_times(scratch.rotation, gravity_acc, scratch.gravity_acc_b)
     _add_leg_momentum(config, ref, scratch)
     if planned and config.horizon_interval == 1:
@@ -204,6 +220,7 @@ def _forces(config: Any, model: Any, ref: Any, gain: Any, memory: Any, planned: 
             scratch.inverse_inertia,
             scratch.arms,
             desired,
+            scratch.against,
             gain.weight,
             memory,
             qp,
@@ -298,7 +315,7 @@ class Controller:
         self.memory = np.zeros(n, MEMORY)
         self.command = np.zeros(n, COMMAND)
         self.plan = np.zeros(n, PLAN)
-        self._trot_clocks = np.zeros(n, CLOCK)
+        self._seen, self._trot_clocks = np.zeros(1, OBSERVATION), np.zeros(n, CLOCK)
         self._robot, self._config = robot, pack_config(self.config, robot)
         self._model = pack_model(robot)
         self._recovers: Motion | None = None
@@ -307,7 +324,7 @@ class Controller:
         self._work = WorkMemory(
             qp=make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS),
             plan_qp=make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS) if ahead else None,
-            scratch=np.zeros(1, SCRATCH),
+            scratch=_scratch(),
             foresight=np.zeros(1, FORESIGHT) if ahead else None,
         )
 
@@ -329,6 +346,6 @@ class Controller:
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
         """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call. `observation` is (n,) of
         `OBSERVATION`, `clocks` (n,) of `CLOCK`."""
-        robots = self.tables, self.gains, clocks, observation, self.memory, self.command, self.plan
+        robots = self.tables, self.gains, clocks, observation, self._seen, self.memory, self.command, self.plan
         control_step(self._config, self._model, *robots, *self._trots, self._trot_clocks, *self._work)
         return self.command

@@ -8,6 +8,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import transposed_times
+from fastmimic.control.footing import lift_over
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
@@ -93,12 +94,12 @@ def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_
         memory.liftoff_offset[leg, k] = foot[k] - target[k]
     if config.foothold == REGULATED:  # x and y are the regulator's
         for a in range(2):
-            memory.foot_shift[leg, a], memory.foot_shift_rate[leg, a] = 0.0, 0.0
+            memory.foot_shift[leg, a], memory.foot_shift_rate[leg, a] = -scratch.lean[a], 0.0
             for k in range(3):
                 memory.foot_shift[leg, a] += scratch.rotation[a, k] * (foot[k] - target[k])
         for k in range(3):
             for a in range(2):
-                memory.liftoff_offset[leg, k] -= scratch.rotation[a, k] * memory.foot_shift[leg, a]
+                memory.liftoff_offset[leg, k] -= scratch.rotation[a, k] * (memory.foot_shift[leg, a] + scratch.lean[a])
 
 
 @inlined
@@ -185,7 +186,9 @@ def swing_leg(
     if config.foothold == REGULATED:
         for k in range(3):
             for a in range(2):
-                target[k] += scratch.rotation[a, k] * memory.foot_shift[leg, a]
+                target[k] += scratch.rotation[a, k] * (memory.foot_shift[leg, a] + scratch.lean[a])
+        if config.follow_ground == 1:
+            lift_over(config, model, memory, scratch, obs.root_pos[2], target)
         keep_in_reach(config, model, scratch.rotation, leg, target)
     else:
         for k in range(2):

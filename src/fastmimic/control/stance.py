@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 
@@ -79,6 +78,7 @@ def stance_forces(
     inverse_inertia: Array,
     arms: Array,
     desired: Array,
+    against: Array,
     weight: Array,
     memory: Any,
     qp: Any,
@@ -93,7 +93,8 @@ def stance_forces(
     The variables are the z forces of the k standing legs, then their x and y forces, so that the bounds on f_z are
     DAQP's simple bounds. After a failure the last forces are held for a few steps and then dropped. In the heading
     frame: `inverse_inertia` (3, 3) of the whole robot, `arms` (4, 3) from the centre of mass to the feet in m,
-    `desired` (6,) ẍ_des, `weight` (6, 6) Q; `columns` and `weighted` (12, 6) are scratch.
+    `desired` (6,) ẍ_des, `against` (3,) what carries the weight, m/s², `weight` (6, 6) Q; `columns` and `weighted` (12,
+    6) are scratch.
     """
     k = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
     if k == 0:
@@ -114,7 +115,7 @@ def stance_forces(
             weighted[i, r] = 0.0
             for c in range(6):
                 weighted[i, r] += weight[r, c] * columns[i, c]
-            gradient -= weighted[i, r] * (desired[r] + (GRAVITY if r == 2 else 0.0))
+            gradient -= weighted[i, r] * (desired[r] + (against[r] if r < 3 else 0.0))
         qp.gradient[i] = gradient
         for j in range(i + 1):
             h = config.r_weight if i == j else 0.0

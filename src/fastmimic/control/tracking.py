@@ -15,6 +15,7 @@ from fastmimic.robot.dynamics import leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward
 
 MOST_DISTURBANCE: Final = (3.0, 10.0)  # m/s², rad/s²
+LEAN: Final = (0.3, 0.7)  # shares of that distance along and across which trot and walk need
 LATE: Final = 0.9  # a foot that should have landed keeps this share of its shift's speed each step
 
 
@@ -71,6 +72,9 @@ def compare_to_reference(model: Any, ref: Any, clock: Any, obs: Any, scratch: An
     invert_symmetric_3x3(scratch.inertia, scratch.inverse_inertia)
     heading_vector(c, s, obs.lin_vel, scratch.lin_vel)
     heading_vector(c, s, obs.ang_vel, scratch.ang_vel)
+    heading_vector(c, s, scratch.uphill, scratch.against)
+    for a in range(2):
+        scratch.lean[a] = -LEAN[a] * ref.root_pos[2] * scratch.against[a] / scratch.against[2]
     heading_vector(ct, -st, ref.lin_vel, scratch.ref_lin_vel)
     heading_vector(ct, -st, ref.ang_vel, scratch.ref_ang_vel)
 
@@ -125,7 +129,8 @@ def expect_acceleration(model: Any, memory: Any, scratch: Any) -> None:
     expected, column = memory.expected, scratch.column
     for r in range(6):
         expected[r] = -scratch.momentum[r]
-    expected[2] -= GRAVITY
+    for k in range(3):
+        expected[k] -= scratch.against[k]
     for leg in range(4):
         if memory.stance[leg] == 0:
             continue
@@ -171,7 +176,7 @@ def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> Non
         for a in range(2):
             if memory.stance[leg] == 1:
                 memory.lag[leg, a] += config.dt * max(memory.haste, 0.0) * scratch.ref_lin_vel[a]
-                shift[leg, a], rate[leg, a] = -memory.lag[leg, a], 0.0
+                shift[leg, a], rate[leg, a] = -memory.lag[leg, a] - scratch.lean[a], 0.0
                 for k in range(3):
                     shift[leg, a] += rotation[a, k] * scratch.feet[leg, k]
                     shift[leg, a] -= reference_rotation[a, k] * ref.foot_pos[leg, k]

@@ -22,27 +22,18 @@ OBSERVATION: Final = record_dtype(
     ]
 )
 """State of one robot: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
-and the number of ground contacts other than feet."""
+and the number of ground contacts other than feet, on terrain of the trunk."""
 
 COMMAND: Final = record_dtype(floats(joint_pos=12, joint_vel=12, stiffness=12, damping=12, torque=12))
 """One robot's command: the motors apply torque + stiffness (joint_pos − q) + damping (joint_vel − dq)."""
 
 MEMORY: Final = record_dtype(
     [
-        *integers(stance=4, early=4, was_loaded=4, began=(), recovering=(), taken_up=()),
+        *integers(stance=4, early=4, was_loaded=4, began=(), recovering=(), taken_up=(), grounded=()),
         *floats(since_switch=4, unloaded_time=4, liftoff_offset=(4, 3), force=(4, 3)),
-        *floats(
-            foot_shift=(4, 2),
-            foot_shift_rate=(4, 2),
-            haste=(),
-            urgency=(),
-            since_recovery=(),
-            calm=(),
-            lag=(4, 2),
-            velocity=6,
-            expected=6,
-            disturbance=6,
-        ),
+        *floats(foot_shift=(4, 2), foot_shift_rate=(4, 2), haste=(), lag=(4, 2), velocity=6, expected=6, disturbance=6),
+        *floats(urgency=(), since_recovery=(), calm=()),
+        *floats(foothold=(4, 3), slope=2, ground=(), ground_at=2, roughness=()),
         *integers(qp_failures=(), failed_in_a_row=(), horizon_failures=()),
         *floats(solve_time=()),
         *integers(early_touchdowns=()),
@@ -53,7 +44,9 @@ the last horizon plan, s, 0 without one. `foot_shift` is where a foot is, or is 
 their trunks, heading frame, m, and its rate in the world, m/s. `haste` are the samples that the reference advances
 beyond one in a control step (or `taken_up_at`), and `lag` is how far a standing foot of the reference has got ahead by
 it, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's `velocity` (world) and
-`expected` acceleration (heading frame) of the last step, linear and angular, tell the `disturbance` between them."""
+`expected` acceleration (heading frame) of the last step, linear and angular, tell the `disturbance` between them. The
+`foothold` of each foot (world, m) gives the ground's `slope`, its height where the robot is (`ground`) and its
+`roughness`, m."""
 
 MODEL: Final = record_dtype(
     [

@@ -80,11 +80,13 @@ def build_model(
             refname=geom,
             intprm=[wanted, 3, 1],  # 3: the net force
         )
+    trunk = {} if ground is None else {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": _trunk_of(spec, robot)}
     spec.add_sensor(
         name="ground_contacts",
         type=mujoco.mjtSensor.mjSENS_CONTACT,
         objtype=mujoco.mjtObj.mjOBJ_BODY,
         objname=WORLD,
+        **trunk,
         intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 3, 1],
     )
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
@@ -102,6 +104,14 @@ def build_model(
         level = build_model(robot, ideal=ideal)
         model.geom_conaffinity[model.geom_bodyid > 0] = level.geom_conaffinity[level.geom_bodyid > 0]
     return model
+
+
+def _trunk_of(spec: mujoco.MjSpec, robot: Robot) -> str:
+    """The body that carries the legs."""
+    body = spec.joint(robot.joint_names[0]).parent.parent
+    while not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+        body = body.parent
+    return str(body.name)
 
 
 def _collide_legs(spec: mujoco.MjSpec, robot: Robot) -> None:
@@ -161,7 +171,8 @@ def floor_shapes(spec: mujoco.MjSpec, ground: Terrain | None) -> dict[str, dict[
 
 @kernel
 def _observe(qpos: Array, qvel: Array, sensors: Array, index: Any, out: Any) -> None:
-    """From MuJoCo's state to observations; `index` is (24,): addresses of the joints in qpos, then in qvel."""
+    """From MuJoCo's state to observations; `index` is (25,): addresses of the joints in qpos, then in qvel, and whether
+    the contacts that the last sensor counts are the feet's, too."""
     for i in range(out.shape[0]):
         o = out[i]
         for k in range(3):
@@ -183,7 +194,7 @@ def _observe(qpos: Array, qvel: Array, sensors: Array, index: Any, out: Any) -> 
             found += sensors[i, 4 * leg]
             for k in range(3):
                 o.foot_force[leg, k] = sensors[i, 4 * leg + 1 + k]
-        o.other_contact = sensors[i, 16] - found
+        o.other_contact = sensors[i, 16] - found * index[24]
 
 
 @kernel
@@ -236,7 +247,8 @@ class MujocoSimulation:
         self.motors["strength"], self.motors["limit"] = 1.0, robot.torque_limit
         self.motors["top_speed"] = np.inf if ideal else robot.joint_speed_limit
         joints = [self.model.joint(name).id for name in robot.joint_names]
-        self._index = np.concatenate([self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]]).astype(np.int64)
+        addresses = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints], [ground is None]
+        self._index = np.concatenate(addresses).astype(np.int64)
 
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`."""
@@ -255,7 +267,7 @@ class MujocoSimulation:
         self.observation["other_contact"][rows] = 0.0
 
     def _set(self, rows: NDArray[np.int64], state: Placement) -> None:
-        joints, joint_dofs = self._index[:12], self._index[12:]
+        joints, joint_dofs = self._index[:12], self._index[12:24]
         self._qpos[rows, :3], self._qpos[rows, 3:7] = state.root_pos, state.root_quat
         self._qpos[rows[:, None], joints] = state.joint_pos
         self._qvel[rows, :3], self._qvel[rows, 3:6] = state.lin_vel, state.ang_vel_b
@@ -299,7 +311,7 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         `make_world`, or if the control rate does not divide the physics rate."""
         self.world = make_world(disturbances, n, "mujoco")
         super().__init__(robot, n, control_rate_hz=control_rate_hz, threads=threads, ground=ground, ideal=ideal)
-        self.joint_dofs = self._index[12:]
+        self.joint_dofs = self._index[12:24]
         self.trunk = int(self.model.jnt_bodyid[0])
         self.trunk_force = np.zeros((n, 3))
         self.constants_changed = False

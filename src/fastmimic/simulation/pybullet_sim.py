@@ -140,7 +140,7 @@ class PybulletSimulation:
         bullet.setGravity(0.0, 0.0, -GRAVITY)
         bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         self._bodies[i] = body = _Body(bullet, self._descriptions[i], self._ideal)
-        body.ground = _ground(bullet, self._ground)
+        body.ground, body.level = _ground(bullet, self._ground), self._ground is None
         # Bullet multiplies the coefficients of the two bodies: the ground has them, the robot 1
         bullet.changeDynamics(body.ground, -1, lateralFriction=float(world["friction"][i]))
         body.prepare(float(world["joint-friction"][i]), float(world["joint-damping"][i]))
@@ -153,7 +153,7 @@ class _Body:
         """Thighs, calves and feet collide with those of other legs, unless `ideal`."""
         self._bullet = bullet
         flags = bullet.URDF_USE_INERTIA_FROM_FILE | (0 if ideal else bullet.URDF_USE_SELF_COLLISION)
-        self.ground = -1
+        self.ground, self.level = -1, True
         with tempfile.TemporaryDirectory() as folder:  # PyBullet reads files only
             path = Path(folder) / "robot.urdf"
             path.write_text(description, encoding="utf-8")
@@ -240,7 +240,7 @@ class _Body:
             if contact[3] in self.toes:
                 forces[self.toes.index(contact[3])] += force
             elif contact[9] > 0:  # Bullet also reports what is near without touching
-                others += 1
+                others += self.level or contact[3] < 0
         out["foot_force"] = forces
         out["other_contact"] = others
 

@@ -1,0 +1,148 @@
+"""The ground under a robot, felt by its feet: a plane through where they last stood, and how far they were off it.
+
+The controller follows its reference in the plane's frame: what it sees is the robot's state from there, with gravity as
+it leans (after Bledt et al. 2018, MIT Cheetah 3, who fit such a plane). Level ground is seen as it is: small slopes and
+heights are the feet's own.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.jit import inlined, kernel
+from fastmimic.base.vectors import quat_to_matrix, times, transposed_times
+from fastmimic.robot.kinematics import leg_forward
+
+SMALL_SLOPE: Final = 0.03  # that is taken for level, and twice as much for what it is
+SMALL_HEIGHT_M: Final = 0.01  # likewise, of the ground's height and of the feet's distances from the plane
+STEEPEST: Final = 0.5
+STIFF_M2: Final = 0.02  # by which one foot alone does not turn the plane
+RISING_M: Final = 0.03  # height of a foot from which it is lifted all of what it has to be
+
+
+@kernel
+def see_ground(config: Any, model: Any, ref: Any, obs: Any, memory: Any, seen: Any, scratch: Any) -> None:
+    """Feels the ground and writes the robot's state from there to `seen`, a record of `OBSERVATION`: height along the
+    normal, orientation and velocities in the plane's frame; x, y and forces are left."""
+    rotation, vector = scratch.rotation, scratch.vector
+    quat_to_matrix(obs.root_quat, rotation)
+    if memory.grounded == 0:
+        _assume(ref, memory, scratch)
+    for leg in range(4):
+        standing = memory.stance[leg] == 1 and obs.foot_force[leg, 2] > config.release_threshold
+        if memory.grounded == 1 and not standing:
+            continue
+        q = obs.joint_pos[3 * leg : 3 * leg + 3]
+        vector[0], vector[1], vector[2] = leg_forward(model.geometry[leg], q[0], q[1], q[2])
+        times(rotation, vector, scratch.change)
+        for k in range(3):
+            memory.foothold[leg, k] = obs.root_pos[k] + scratch.change[k]
+        memory.foothold[leg, 2] -= model.foot_radius
+    share = config.dt / config.ground_time if memory.grounded == 1 else 1.0
+    _fit(memory, obs, min(share, 1.0))
+    memory.grounded = 1
+    _write(obs, memory, seen, scratch)
+
+
+@inlined
+def _assume(ref: Any, memory: Any, scratch: Any) -> None:
+    """At first the ground leans as the robot does from its reference."""
+    reference, up = scratch.reference_rotation, scratch.vector
+    quat_to_matrix(ref.root_quat, reference)
+    for k in range(3):
+        scratch.change[k] = reference[2, k]  # the reference's vertical in its body frame
+    times(scratch.rotation, scratch.change, up)
+    slope = np.hypot(up[0], up[1]) / max(up[2], 0.1)
+    least = 1.0 if slope > SMALL_SLOPE else 0.0
+    memory.slope[0], memory.slope[1] = -least * up[0] / max(up[2], 0.1), -least * up[1] / max(up[2], 0.1)
+
+
+@inlined
+def _fit(memory: Any, obs: Any, share: float) -> None:
+    """The plane through the last footholds, followed by a `share` of what it has changed."""
+    x = y = z = 0.0
+    for leg in range(4):
+        if memory.grounded == 0 and memory.stance[leg] == 0:  # it may be in the air
+            memory.foothold[leg, 2] = np.nan
+    n = 0
+    for leg in range(4):
+        if not np.isnan(memory.foothold[leg, 2]):
+            x, y, z, n = x + memory.foothold[leg, 0], y + memory.foothold[leg, 1], z + memory.foothold[leg, 2], n + 1
+    if n == 0:
+        return
+    x, y, z = x / n, y / n, z / n
+    xx = yy = STIFF_M2
+    xy = xz = yz = rough = 0.0
+    for leg in range(4):
+        if np.isnan(memory.foothold[leg, 2]):
+            continue
+        dx, dy = memory.foothold[leg, 0] - x, memory.foothold[leg, 1] - y
+        off = memory.foothold[leg, 2] - z - memory.slope[0] * dx - memory.slope[1] * dy
+        xx, xy, yy, xz, yz = xx + dx * dx, xy + dx * dy, yy + dy * dy, xz + dx * off, yz + dy * off
+        rough = max(rough, abs(off))
+    scale = share / (xx * yy - xy * xy)
+    if n > 2:
+        memory.slope[0] += scale * (yy * xz - xy * yz)
+        memory.slope[1] += scale * (xx * yz - xy * xz)
+    size = np.hypot(memory.slope[0], memory.slope[1])
+    for k in range(2):
+        memory.slope[k] *= min(1.0, STEEPEST / max(size, 1e-9))
+    there = z + memory.slope[0] * (obs.root_pos[0] - x) + memory.slope[1] * (obs.root_pos[1] - y)
+    if memory.grounded == 1:
+        moved = memory.slope[0] * (obs.root_pos[0] - memory.ground_at[0])
+        memory.ground += moved + memory.slope[1] * (obs.root_pos[1] - memory.ground_at[1])
+    memory.ground += share * (there - memory.ground)
+    memory.ground_at[0], memory.ground_at[1] = obs.root_pos[0], obs.root_pos[1]
+    memory.roughness += share * (rough - memory.roughness)
+
+
+@inlined
+def _beyond(value: float, small: float) -> float:
+    """Share that counts of a value: none up to `small`, all from twice as much."""
+    return min(max(value / small - 1.0, 0.0), 1.0)
+
+
+@inlined
+def _write(obs: Any, memory: Any, seen: Any, scratch: Any) -> None:
+    x, y = memory.slope[0], memory.slope[1]
+    counts = _beyond(np.hypot(x, y), SMALL_SLOPE)
+    x, y = counts * x, counts * y
+    height = _beyond(abs(memory.ground), SMALL_HEIGHT_M) * memory.ground
+    # the smallest rotation from z to the normal, (1 + nz, ny, −nx, 0) normalised
+    w = 1.0 + np.sqrt(1.0 + x * x + y * y)
+    size = np.sqrt(w * w + x * x + y * y)
+    qw, qx, qy = w / size, y / size, -x / size
+    ground = scratch.candidate
+    scratch.quat[0], scratch.quat[1], scratch.quat[2], scratch.quat[3] = qw, qx, qy, 0.0
+    quat_to_matrix(scratch.quat, ground)
+    q = obs.root_quat
+    seen.root_quat[0] = qw * q[0] + qx * q[1] + qy * q[2]
+    seen.root_quat[1] = qw * q[1] - qx * q[0] - qy * q[3]
+    seen.root_quat[2] = qw * q[2] + qx * q[3] - qy * q[0]
+    seen.root_quat[3] = qw * q[3] - qx * q[2] + qy * q[1]
+    transposed_times(ground, obs.lin_vel, seen.lin_vel)
+    transposed_times(ground, obs.ang_vel, seen.ang_vel)
+    for k in range(3):
+        seen.root_pos[k] = obs.root_pos[k]
+        scratch.uphill[k] = GRAVITY * ground[2, k]
+    seen.root_pos[2] = (obs.root_pos[2] - height) * ground[2, 2]
+    for j in range(12):
+        seen.joint_pos[j], seen.joint_vel[j] = obs.joint_pos[j], obs.joint_vel[j]
+    for leg in range(4):
+        for k in range(3):
+            seen.foot_force[leg, k] = obs.foot_force[leg, k]
+
+
+@inlined
+def lift_over(config: Any, model: Any, memory: Any, scratch: Any, height: float, target: Array) -> None:
+    """Lifts a foot's target (3,), body frame, of a robot at a height, m, higher where the feet stand off the plane."""
+    rough = _beyond(memory.roughness, SMALL_HEIGHT_M) * memory.roughness
+    if rough == 0.0:
+        return
+    up = scratch.rotation[2]
+    above = height + up[0] * target[0] + up[1] * target[1] + up[2] * target[2] - model.foot_radius
+    more = config.rough_lift * rough * min(max(above / RISING_M, 0.0), 1.0)
+    for k in range(3):
+        target[k] += more * up[k]

@@ -1,0 +1,66 @@
+"""The controller feels the ground by its feet: it follows slopes, lifts feet on rough ground, and sees level ground as
+it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.episode.loop import ClosedLoop, run_episodes
+from fastmimic.episode.plan import Start
+from fastmimic.robot import Robot
+from fastmimic.runs.loading import load_motion
+from fastmimic.simulation.conditions import Conditions, parse_terrain
+
+ROBOTS = 6
+
+
+def blind() -> ControllerConfig:
+    config = default_config()
+    return replace(config, gait=replace(config.gait, follow_ground=False))
+
+
+def starts(n_samples: int) -> Start:
+    sample = np.arange(ROBOTS) * n_samples // ROBOTS
+    return Start(sample, np.zeros((ROBOTS, 12)), np.zeros((ROBOTS, 3)), np.arange(ROBOTS))
+
+
+def walked(robot: Robot, terrain: str, config: ControllerConfig) -> ClosedLoop:
+    motion = load_motion("trot", robot)
+    loop = ClosedLoop(robot, motion, ROBOTS, config, conditions=Conditions(terrain=parse_terrain(terrain)))
+    loop.place(starts(motion.n_samples))
+    for _ in range(1500):
+        loop.apply(loop.control())
+        loop.score()
+    return loop
+
+
+@pytest.mark.parametrize(("terrain", "axis"), [("slope=12", 0), ("side-slope=10", 1), ("slope=-12", 0)])
+def test_the_plane_under_the_feet_is_found(robot: Robot, terrain: str, axis: int) -> None:
+    loop = walked(robot, terrain, default_config())
+    assert loop.scorer.tallies["fallen"].sum() == 0
+    memory, rise = loop.controller.memory, np.tan(np.radians(float(terrain.partition("=")[2])))
+    np.testing.assert_allclose(memory["slope"][:, axis], rise, atol=0.02)
+    np.testing.assert_allclose(memory["slope"][:, 1 - axis], 0.0, atol=0.02)
+    root = loop.simulation.observation["root_pos"]
+    np.testing.assert_allclose(memory["ground"], rise * root[:, axis], atol=0.01)
+
+
+def test_a_robot_that_does_not_feel_a_slope_falls(robot: Robot) -> None:
+    assert walked(robot, "slope=12", blind()).scorer.tallies["fallen"].all()
+
+
+def test_feet_are_lifted_on_stairs_and_only_there(robot: Robot) -> None:
+    assert walked(robot, "stairs-up=0.04", default_config()).controller.memory["roughness"].max() > 0.01
+    assert walked(robot, "slope=10", default_config()).controller.memory["roughness"].max() < 0.01
+
+
+@pytest.mark.parametrize("name", ["trot", "walk"])
+def test_level_ground_is_seen_as_it_is(robot: Robot, name: str) -> None:
+    motion = load_motion(name, robot)
+    here, there = (
+        run_episodes(robot, motion, start=starts(motion.n_samples), duration_s=3.0, config=config)
+        for config in (default_config(), blind())
+    )
+    np.testing.assert_array_equal(here.reward, there.reward)
