@@ -319,6 +319,7 @@ class _Recorder:
             "observation": loop.simulation.observation,
             "command": loop.controller.command,
             "stance": memory["stance"].astype(bool),
+            "recovering": memory["recovering"] > 0,
             "force": memory["force"],
             "solve_time": memory["solve_time"],
             "terms": np.where(up[:, None], loop.scorer.terms, 0.0),

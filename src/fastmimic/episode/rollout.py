@@ -24,6 +24,7 @@ class Log:
         observation: (n, t) of `OBSERVATION`, the state after each step.
         command: (n, t) of `COMMAND`, what led to it.
         stance: (n, t, 4) bool, the gait planner's leg states.
+        recovering: (n, t) bool, whether it takes recovery steps.
         wanted: (n, t, 4) bool, the contact schedule.
         force: (n, t, 4, 3) forces from the stance QP, heading frame, N.
         solve_time: (n, t) s of planning ahead, 0 in steps without.
@@ -39,6 +40,7 @@ class Log:
     observation: NDArray[Any]
     command: NDArray[Any]
     stance: NDArray[np.bool_]
+    recovering: NDArray[np.bool_]
     wanted: NDArray[np.bool_]
     force: Array
     solve_time: Array
