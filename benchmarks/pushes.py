@@ -8,8 +8,8 @@ after the start. A robot survives if it has not fallen 4 s later, and has rejoin
 it takes no recovery steps any more and is within 0.15 m/s and 0.1 rad of its reference for good. The same follows with
 sensors alone, under variants of the feedback (ablations) at the highest speed, and for a minute with a push of up to
 that speed every 3 s. One variant is no ablation: `raibert-lh`, Raibert footholds under convex MPC with constant gains,
-as Quadruped-PyMPC has them, in our code. Motions are retargeted, not optimised. Those of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA.
-Intervals are Wilson's.
+as Quadruped-PyMPC has them, in our code. Motions are retargeted, not optimised. Those of the dog need `fastmimic data
+fetch`, or FASTMIMIC_DATA. Intervals are Wilson's.
 `--write` puts the table between the markers in docs/robustness.md.
 """
 
