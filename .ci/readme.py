@@ -49,6 +49,7 @@ def main(folder: Path, pages: list[Path]) -> None:
     write_dog(Path("my_dog.txt"), cycles=3)
     for name in ("my_take.txt", "take.txt", "my_animal.txt"):
         write_dog(Path(name), cycles=12)
+    np.save("hills.npy", np.random.default_rng(0).uniform(0.0, 0.02, (300, 300)))
     np.save("points.npy", fm.open_clip("walk").points_w)
     Path("my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
     fm.evaluate("trot", duration_s=0.1)  # loads what commands need, once for all of them
