@@ -51,6 +51,21 @@ def test_a_robot_that_does_not_feel_a_slope_falls(robot: Robot) -> None:
     assert walked(robot, "slope=12", blind()).scorer.tallies["fallen"].all()
 
 
+def test_a_lost_reading_is_not_felt(robot: Robot) -> None:
+    motion = load_motion("trot", robot)
+    loop = ClosedLoop(robot, motion, ROBOTS)
+    loop.place(starts(motion.n_samples))
+    for step in range(600):
+        if step == 300:
+            loop.simulation.observation["root_pos"] = np.nan
+        loop.apply(loop.control())
+        loop.score()
+    memory = loop.controller.memory
+    assert np.isfinite(memory["ground"]).all()
+    assert np.isfinite(memory["slope"]).all()
+    assert loop.scorer.tallies["fallen"].sum() == 0
+
+
 def test_feet_are_lifted_on_stairs_and_only_there(robot: Robot) -> None:
     assert walked(robot, "stairs-up=0.04", default_config()).controller.memory["roughness"].max() > 0.01
     assert walked(robot, "slope=10", default_config()).controller.memory["roughness"].max() < 0.01

@@ -10,6 +10,14 @@ from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.recovery_gait import PIECE_S, recovery_gaits
+from fastmimic.reference.table import (
+    advance_clocks,
+    make_clocks,
+    place_clocks,
+    reference_table,
+    taken_up_at,
+    world_root,
+)
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions, Disturbance
@@ -49,6 +57,40 @@ def test_recovery_steps_catch_robots_that_fall_otherwise(robot: Robot) -> None:
     assert not never.any()
     assert recovered.sum() >= 8
     assert (up & back).sum() >= fallen.sum() + 3
+
+
+def test_a_pace_is_taken_up_again(robot: Robot) -> None:
+    """Its feet stand unlike a trot's: the nearest sample is farther off than a walk's."""
+    motion = load_motion("pace", robot)
+    push = Disturbance("side-push", (1.0 * robot.mass,), PUSHED_AT_S)
+    loop = ClosedLoop(robot, motion, ROBOTS, conditions=Conditions(disturbances=(push,)))
+    loop.place(starts(motion))
+    recovered = np.zeros(ROBOTS, bool)
+    for _ in range(1500):
+        loop.apply(loop.control())
+        recovered |= loop.controller.memory["recovering"] > 0
+        loop.score()
+    up = loop.scorer.tallies["fallen"] == 0
+    assert recovered.sum() >= 4
+    assert up.sum() >= ROBOTS - 2
+    assert np.all(loop.controller.memory["recovering"][up] == 0)
+    assert np.all(loop.scorer.tallies["jump"][up] < 2.0), "where a motion is taken up is no drift"
+
+
+def test_a_motion_is_taken_up_in_its_heading_where_the_robot_is(robot: Robot) -> None:
+    motion = load_motion("turn", robot)
+    table = reference_table(motion, robot)[None]
+    clocks = make_clocks(motion, 2)
+    place_clocks(clocks, np.array([40, motion.n_samples - 2]), table[0], np.array([[1.0, 2.0, 0.3], [0.0, 0.0, -1.0]]))
+    _, before = world_root(table[0], clocks["sample"], clocks["origin"])
+    xy = np.array([[1.1, 2.0, 0.0], [0.0, 0.3, 0.0]])
+    advance_clocks(clocks, table, xy, np.array([taken_up_at(100), taken_up_at(5)]))
+    np.testing.assert_array_equal(clocks["sample"], [101, 6])
+    position, after = world_root(table[0], clocks["sample"], clocks["origin"])
+    step = np.linalg.norm(motion.root_lin_vel_w[:, :2], axis=1).max() * motion.dt
+    assert np.all(np.linalg.norm(position[:, :2] - xy[:, :2], axis=1) < 2 * step)
+    np.testing.assert_allclose(np.abs(np.sum(before * after, axis=1)), 1.0, atol=5e-4)
+    np.testing.assert_allclose(clocks["jump"], [0.1, 0.3], atol=0.02)
 
 
 def test_an_undisturbed_robot_keeps_to_its_schedule(robot: Robot) -> None:

@@ -273,7 +273,7 @@ class TestContact:
         assert observation["other_contact"][1] >= 1, "lying on its back"
         assert observation["other_contact"][2] == 0, "standing"
 
-    def test_legs_do_not_collide_with_each_other(self, robot: Robot) -> None:
+    def test_spread_legs_touch_nothing(self, robot: Robot) -> None:
         joints = robot.home_joint_pos.copy()
         joints[[0, 3, 6, 9]] = robot.joint_upper[0], robot.joint_lower[3], robot.joint_upper[6], robot.joint_lower[9]
         simulation = MujocoSimulation(robot, 1)

@@ -183,7 +183,8 @@ def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     for part in (config, config.gait, config.stance, config.horizon, config.swing):
         pack(part, record, scales)
     # other forces and footholds have no urgency
-    record["recovery_steps"] *= config.stance.forces == "instant" and config.stance.feedback == "regulator"
+    regulated = config.stance.feedback == "regulator" and config.swing.foothold == "regulator"
+    record["recovery_steps"] *= regulated and config.stance.forces == "instant"
     record["dt"] = 1.0 / config.rate_hz
     record["horizon_interval"] = round(config.rate_hz / config.horizon.solve_rate_hz)
     return record

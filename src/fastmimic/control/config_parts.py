@@ -67,6 +67,9 @@ class GaitConfig:
         about="that reach, forwards and sideways, and how much less it is across to the other side, and more to the"
         " foot's own",
     )
+    recovery_top_speed: float = parameter(
+        1.8, unit="m/s", above=0.0, about="mean speed of a motion above which it has no such trot"
+    )
     recovery_switch_time: float = parameter(0.03, unit="s", about="least time between two switches of a leg meanwhile")
 
 

@@ -1,8 +1,8 @@
 """The ground under a robot, felt by its feet: a plane through where they last stood, and how far they were off it.
 
 The controller follows its reference in the plane's frame: what it sees is the robot's state from there, with gravity as
-it leans (after Bledt et al. 2018, MIT Cheetah 3, who fit such a plane). Level ground is seen as it is: small slopes and
-heights are the feet's own.
+it leans (after Bledt et al. 2018, MIT Cheetah 3, who fit such a plane). Small slopes and heights are the feet's own:
+level ground is seen as it is.
 """
 
 from typing import Any, Final
@@ -26,10 +26,21 @@ RISING_M: Final = 0.03  # height of a foot from which it is lifted all of what i
 def see_ground(config: Any, model: Any, ref: Any, obs: Any, memory: Any, seen: Any, scratch: Any) -> None:
     """Feels the ground and writes the robot's state from there to `seen`, a record of `OBSERVATION`: height along the
     normal, orientation and velocities in the plane's frame; x, y and forces are left."""
-    rotation, vector = scratch.rotation, scratch.vector
-    quat_to_matrix(obs.root_quat, rotation)
+    quat_to_matrix(obs.root_quat, scratch.rotation)
     if memory.grounded == 0:
         _assume(ref, memory, scratch)
+    total = obs.root_pos[0] + obs.root_pos[1] + obs.root_pos[2]
+    for j in range(12):
+        total += obs.joint_pos[j]
+    if np.isfinite(total):  # else nothing is felt in this step
+        _feel(config, model, obs, memory, scratch)
+    _write(obs, memory, seen, scratch)
+
+
+@inlined
+def _feel(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) -> None:
+    """Where feet stand, and the plane through it."""
+    rotation, vector = scratch.rotation, scratch.vector
     for leg in range(4):
         standing = memory.stance[leg] == 1 and obs.foot_force[leg, 2] > config.release_threshold
         if memory.grounded == 1 and not standing:
@@ -43,7 +54,6 @@ def see_ground(config: Any, model: Any, ref: Any, obs: Any, memory: Any, seen: A
     share = config.dt / config.ground_time if memory.grounded == 1 else 1.0
     _fit(memory, obs, min(share, 1.0))
     memory.grounded = 1
-    _write(obs, memory, seen, scratch)
 
 
 @inlined

@@ -177,7 +177,7 @@ def _targets(config: Any, table: Any, clock: Any, obs: Any, scratch: Any, headin
         if _beyond(table, clock, steps) > 0:  # the legs stay as they are
             drift[:] = 0.0
         for r in range(6):
-            drift[r] = -config.leg_momentum * drift[r] - (GRAVITY if r == 2 else 0.0)
+            drift[r] = -config.leg_momentum * drift[r] - (scratch.against[r] if r < 3 else 0.0)
 
 
 @inlined
@@ -190,7 +190,7 @@ def _landings(config: Any, memory: Any, scratch: Any, offset: Array) -> None:
             if memory.stance[leg] == 1 or r == 2:
                 continue
             if config.foothold == REGULATED:
-                offset[leg, r] = memory.foot_shift[leg, r]
+                offset[leg, r] = memory.foot_shift[leg, r] + scratch.lean[r]
                 continue
             for q in range(2):
                 offset[leg, r] -= rotation[r, q] * config.velocity_feedback[q] * scratch.velocity_error[q]

@@ -26,9 +26,9 @@ UPRIGHT: Final = 2.0  # by which a difference in a foot's height counts more
 SWINGING: Final = 0.25  # share of the distance of a foot that lifts off at once
 UNLIKE_M: Final = 0.02  # that another leg state counts
 LOADED_M: Final = 0.03  # that a foot counts which carries everything and lifts off soon
-SOON: Final = 15  # samples ahead
+SOON_S: Final = 0.03
 WITHIN_S: Final = 0.5  # how far from its own time a motion is taken up again
-EACH: Final = 4  # samples, from one that is tried to the next
+EACH_S: Final = 0.008  # from one that is tried to the next
 RECOVERS, LEAVES = 1, 2  # states of a recovery; in the last step of it the motion is told where it is taken up
 
 
@@ -79,10 +79,11 @@ def begin_or_end_recovery(
     `own`. `scratch` compares the robot with the motion."""
     if memory.recovering == 0:
         waits = _standing(memory) < 3 and gain.landing <= LATE_S
-        if memory.urgency <= 1.0 or abs(gain.side) <= ONE_SIDED or waits:
+        fast = np.hypot(trot[0].lin_vel[0], trot[0].lin_vel[1]) > config.recovery_top_speed
+        if not memory.urgency > 1.0 or abs(gain.side) <= ONE_SIDED or waits or fast:
             return False
         memory.recovering, memory.since_recovery, memory.calm = RECOVERS, 0.0, 0.0
-        _begin(table[clock.sample], clock, trot, own, obs, memory, scratch)
+        _begin(config, table[clock.sample], clock, trot, own, obs, memory, scratch)
         return True
     if memory.recovering == LEAVES:
         memory.recovering = 0
@@ -90,7 +91,7 @@ def begin_or_end_recovery(
     memory.since_recovery += config.dt
     memory.calm = memory.calm + config.dt if memory.urgency < CALM else 0.0
     if memory.since_recovery >= LEAST_S and memory.calm > 0.0:
-        near = NEAR_M * (1.0 + min(memory.calm / PATIENCE_S, 1.0))
+        near = NEAR_M * (1.0 + memory.calm / PATIENCE_S)
         sample = _taken_up_at(config, table, clock, obs, memory, scratch, near * near)
         if sample >= 0:
             memory.recovering, memory.taken_up = LEAVES, sample
@@ -98,9 +99,11 @@ def begin_or_end_recovery(
 
 
 @inlined
-def _begin(ref: Any, clock: Any, trot: Any, own: Any, obs: Any, memory: Any, scratch: Any) -> None:
+def _begin(config: Any, ref: Any, clock: Any, trot: Any, own: Any, obs: Any, memory: Any, scratch: Any) -> None:
     """Puts the trot's clock at the sample whose feet are as high as the robot's, and that lifts unloaded feet next."""
-    n, weight = trot.shape[0], 1.0
+    n, weight, tilt = trot.shape[0], 1.0, scratch.candidate
+    soon = int(SOON_S / config.dt)
+    quat_to_matrix(trot[0].root_quat, tilt)  # the heading does not count
     for leg in range(4):
         weight += max(obs.foot_force[leg, 2], 0.0)
     best, least = 0, np.inf
@@ -110,11 +113,11 @@ def _begin(ref: Any, clock: Any, trot: Any, own: Any, obs: Any, memory: Any, scr
             height = obs.root_pos[2] - row.root_pos[2]
             for a in range(3):
                 height += scratch.rotation[2, a] * scratch.feet[leg, a]
-                height -= scratch.reference_rotation[2, a] * row.foot_pos[leg, a]
+                height -= tilt[2, a] * row.foot_pos[leg, a]
             cost += height * height
             if row.contact[leg] != memory.stance[leg]:
                 cost += UNLIKE_M**2
-            if memory.stance[leg] == 1 and trot[(k + SOON) % n].contact[leg] == 0:
+            if memory.stance[leg] == 1 and trot[(k + soon) % n].contact[leg] == 0:
                 cost += LOADED_M**2 * max(obs.foot_force[leg, 2], 0.0) / weight
         if cost < least:
             best, least = k, cost
@@ -145,7 +148,7 @@ def _taken_up_at(config: Any, table: Any, clock: Any, obs: Any, memory: Any, scr
     those within half a second count, of another one the present one alone."""
     n, best, least = table.shape[0], -1, most
     away = 0 if clock.repeats == 0 else min(int(WITHIN_S / config.dt), n // 2)
-    for d in range(-away, away + 1, EACH):
+    for d in range(-away, away + 1, max(1, int(EACH_S / config.dt))):
         k = (clock.sample + d) % n
         cost = _mismatch(table[k], obs, memory, scratch)
         if cost < least:

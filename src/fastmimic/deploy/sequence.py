@@ -99,7 +99,7 @@ class Follower:
         if part is way.main:
             self.steps += 1
         if (int(self.clock["sample"][0]) + 1) % part.table.shape[1] == part.last:
-            haste = np.zeros(1)
+            haste = np.minimum(haste, 0.0)
         advance_clocks(self.clock, part.table, observation["root_pos"], haste)
         sample = int(self.clock["sample"][0])
         if part is way.blend_out:

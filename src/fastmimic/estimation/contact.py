@@ -169,7 +169,7 @@ def _fuse_contact(config: Any, state: Any, leg: int, height: float, planned: boo
     elif state.unloaded_time[leg] > (config.release_time if planned else 0.0):
         state.loaded[leg] = 0
     least = config.release_force if state.force[leg] > _TOUCHES else config.contact_force
-    state.force[leg] = load if load > least else _TOUCHES * state.loaded[leg]
+    state.force[leg] = (load if load > least else _TOUCHES) * state.loaded[leg]
 
 
 @inlined

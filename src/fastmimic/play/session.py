@@ -176,6 +176,7 @@ class LiveSession:
         self.method = name
         if before is not None:
             self.controller.memory[...] = before
+            self.controller.memory["recovering"], self.controller.memory["haste"] = 0, 0.0
 
     def fall(self) -> None:
         """Lets the robot go limp, as after a fall."""

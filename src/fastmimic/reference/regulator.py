@@ -39,8 +39,8 @@ _END: Final = 0.3  # share of the cost at the end of a motion that does not repe
 
 GAINS: Final = record_dtype(floats(trunk=(6, STATES), weight=(6, 6), feet=(8, STATES), landing=(), side=()))
 """Gains in the heading frame: desired acceleration of the trunk (m/s², rad/s²) and of the swinging feet (m/s²), each
-minus the gain times the state; the weight of what is missing of the former, relative to `linear_cost`; and the time
-until a foot touches down next, s, 0 if none does."""
+minus the gain times the state; the weight of what is missing of the former, relative to `linear_cost`; the time until
+feet touch down next, s, 0 if none does, and their side: from −1, all on the right, to 1."""
 
 _known: Final[WeakKeyDictionary[Motion, dict[tuple[Any, ...], NDArray[Any]]]] = WeakKeyDictionary()
 
@@ -90,7 +90,7 @@ def regulator_gains(
 
 
 def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool, side: Array) -> tuple[Array, Array]:
-    """Time (n,) until a foot touches down next, s; 0 if none does."""
+    """Time (n,) until feet touch down next, s, 0 if none does; and on which side they are (n,): 1 all on the left."""
     n = len(stands)
     lands = np.asarray(np.any(stands & ~np.roll(stands, 1, axis=0), axis=1))
     lands[0] &= periodic
@@ -100,7 +100,8 @@ def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool, side:
     known = following < len(landings)
     found, sides = np.zeros(n), np.zeros(n)
     found[known] = time[landings[following[known]]] - time[:n][known]
-    swings = ~stands[landings[following[known]] % n - 1]
+    at = landings[following[known]] % n
+    swings = ~stands[at - 1] & stands[at]
     sides[known] = (swings * side).sum(axis=1) / swings.sum(axis=1)
     return found, sides
 

@@ -245,8 +245,10 @@ def taken_up_at(sample: int) -> float:
 def _take_up(clock: Any, table: Any, sample: int, x: float, y: float) -> None:
     """Goes to a sample in the same heading, with the root at (x, y)."""
     before, there = table[clock.sample].root_quat, table[sample].root_quat
+    place = _in_world(clock, table[clock.sample].root_pos)
     clock.origin[2] += 2.0 * (np.arctan2(before[3], before[0]) - np.arctan2(there[3], there[0]))
     clock.sample = sample
+    _hold(clock, _in_world(clock, table[sample].root_pos), place)
     synchronise(clock, table, x, y, clock.origin[0], clock.origin[1])
 
 

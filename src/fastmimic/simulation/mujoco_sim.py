@@ -322,7 +322,8 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         if self.constants_changed:
             self.batch.set_const()
         self.motors["strength"] = self.world["motor-strength"]
-        self.motors["top_speed"] *= self.world["top-speed"][:, None]
+        if self.world.has("top-speed"):
+            self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
         self._forces = self.batch.bind("xfrc_applied")
         late = np.round(self.world["delay"] * DEFAULT_PHYSICS_RATE_HZ).astype(np.int64)
         self._late = late if late.any() else None

@@ -74,7 +74,7 @@ class PybulletSimulation:
             _Body(bullet, text, ideal) for bullet, text in zip(self._clients, self._descriptions, strict=True)
         ]
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
-        self._top_speed = np.full(12, np.inf) if ideal else robot.joint_speed_limit
+        self._top_speed = np.full(12, np.inf) if ideal and not world.has("top-speed") else robot.joint_speed_limit
         _check_fit(self._bodies[0], robot)
         self._sent: list[NDArray[Any]] = []
         self._late = np.round(world["delay"] * physics_rate_hz).astype(np.int64)
