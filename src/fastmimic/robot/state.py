@@ -44,9 +44,9 @@ the last horizon plan, s, 0 without one. `foot_shift` is where a foot is, or is 
 their trunks, heading frame, m, and its rate in the world, m/s. `haste` are the samples that the reference advances
 beyond one in a control step (or `taken_up_at`), and `lag` is how far a standing foot of the reference has got ahead by
 it, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's `velocity` (in the
-ground's frame) and `expected` acceleration (heading frame) of the last step, linear and angular, tell the `disturbance`. The
-`foothold` of each foot (world, m) gives the ground's `slope`, its height where the robot is (`ground`) and its
-`roughness`, m."""
+ground's frame) and `expected` acceleration (heading frame) of the last step, linear and angular, tell the
+`disturbance`. The `foothold` of each foot (world, m) gives the ground's `slope`, its height where the robot is
+(`ground`) and its `roughness`, m."""
 
 MODEL: Final = record_dtype(
     [
