@@ -220,9 +220,9 @@ class PlayPage(WebPage):
     def run(self, stop: threading.Event) -> None:
         """Plays until `stop` is set; pauses without a browser."""
         with ThreadPoolExecutor(1) as executor:
-            simulation = executor.submit(self.pacer.run, stop, self.history.add, self.history.every, self.watched)
-            simulation.add_done_callback(lambda _: stop.set())
-            try:
+            try:  # from the first moment on: Ctrl-C may come at any
+                simulation = executor.submit(self.pacer.run, stop, self.history.add, self.history.every, self.watched)
+                simulation.add_done_callback(lambda _: stop.set())
                 while not stop.wait(1.0 / FRAMES_PER_S if self.watched() else _IDLE_S):
                     if self.watched():
                         self.draw()
