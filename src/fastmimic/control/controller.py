@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, transposed_times
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.config_parts import StanceConfig
@@ -43,56 +43,26 @@ from fastmimic.robot.state import COMMAND, MEMORY, OBSERVATION, pack_model
 
 SCRATCH: Final = record_dtype(
     [
-        ("rotation", "f8", (3, 3)),  # body → heading frame
-        ("candidate", "f8", (3, 3)),  # the same of a sample in its own heading frame
-        ("reference_rotation", "f8", (3, 3)),  # reference's body → robot's heading frame
-        ("heading", "f8", (2,)),  # cos and sin of the robot's
-        ("turn", "f8", (2,)),  # cos and sin from the robot's heading to that of the reference's origin
-        ("com", "f8", (3,)),  # body frame
-        ("inertia", "f8", (3, 3)),  # heading frame
-        ("inverse_inertia", "f8", (3, 3)),
-        ("feet", "f8", (4, 3)),  # body frame
-        ("arms", "f8", (4, 3)),  # feet from the CoM, heading frame
-        # velocities and accelerations of the base and of the reference, heading frame
-        ("lin_vel", "f8", (3,)),
-        ("ang_vel", "f8", (3,)),
-        ("ref_lin_vel", "f8", (3,)),
-        ("ref_ang_vel", "f8", (3,)),
-        ("ref_lin_acc", "f8", (3,)),
-        ("ref_ang_acc", "f8", (3,)),
-        ("leg_acc", "f8", (3,)),  # that the reference's legs take
-        # reference minus robot, heading frame
-        ("error", "f8", (3,)),  # of the position
-        ("angle_error", "f8", (3,)),
-        ("lin_vel_error", "f8", (3,)),
-        ("ang_vel_error", "f8", (3,)),
-        ("state", "f8", (STATES,)),  # of the regulator: robot minus reference
-        ("change", "f8", (3,)),
-        ("vector", "f8", (3,)),
-        ("quat", "f8", (4,)),
-        ("uphill", "f8", (3,)),  # acceleration that carries the weight, in the frame of the ground, m/s²
-        ("against", "f8", (3,)),  # the same in the heading frame
-        ("lean", "f8", (2,)),  # how far downhill the feet stand, for the weight to pass between them
-        ("momentum", "f8", (6,)),  # of the legs: acceleration that the reference's take
-        ("column", "f8", (6,)),
-        # the same in the body frame, for the legs
-        ("velocity_error", "f8", (3,)),
-        ("lin_vel_b", "f8", (3,)),
-        ("ang_vel_b", "f8", (3,)),
-        ("ref_lin_vel_b", "f8", (3,)),  # in the reference's own body frame
-        ("ref_ang_vel_b", "f8", (3,)),
-        # stance
-        ("desired", "f8", (6,)),  # acceleration that the forces have to give, heading frame
-        ("columns", "f8", (12, 6)),
-        ("weighted", "f8", (12, 6)),
-        ("gravity_acc", "f8", (3,)),  # desired linear acceleration minus gravity, heading frame
-        ("gravity_acc_b", "f8", (3,)),
-        # legs
-        ("jacobian", "f8", (3, 3)),
-        ("force_b", "f8", (3,)),
-        ("foot_target", "f8", (3,)),  # body frame
-        ("joint_acc", "f8", (12,)),
-        ("torque", "f8", (3,)),
+        # rotations: body → heading frame, the same of a sample in its own one, reference's body → robot's heading frame
+        *floats(rotation=(3, 3), candidate=(3, 3), reference_rotation=(3, 3)),
+        # cos and sin of the robot's heading, and of the turn from there to that of the reference's origin
+        *floats(heading=2, turn=2),
+        # body frame: centre of mass and feet; heading frame: inertia, and the feet from the centre of mass
+        *floats(com=3, inertia=(3, 3), inverse_inertia=(3, 3), feet=(4, 3), arms=(4, 3)),
+        # velocities and accelerations of the base and of the reference, heading frame; what the reference's legs take
+        *floats(lin_vel=3, ang_vel=3, ref_lin_vel=3, ref_ang_vel=3, ref_lin_acc=3, ref_ang_acc=3, leg_acc=3),
+        # reference minus robot, heading frame, and the regulator's state: robot minus reference
+        *floats(error=3, angle_error=3, lin_vel_error=3, ang_vel_error=3, state=STATES),
+        # the acceleration that carries the weight, m/s², in the ground's frame and in the heading frame, and how far
+        # downhill the feet stand for it, m
+        *floats(uphill=3, against=3, lean=2),
+        # the same velocities in the body frame, for the legs; the reference's in its own one
+        *floats(velocity_error=3, lin_vel_b=3, ang_vel_b=3, ref_lin_vel_b=3, ref_ang_vel_b=3),
+        # accelerations that the forces have to give, their momentum of the legs, and those minus gravity
+        *floats(desired=6, momentum=6, gravity_acc=3, gravity_acc_b=3),
+        *floats(columns=(12, 6), weighted=(12, 6), column=6, change=3, vector=3, quat=4),
+        # legs; the foot's target in the body frame
+        *floats(jacobian=(3, 3), force_b=3, foot_target=3, joint_acc=12, torque=3),
     ]
 )
 """Work memory of the control law, one record per thread, so that it allocates nothing. The suffix _b is for the body

@@ -6,7 +6,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, quat_to_matrix, rotation_error, times, turn_rows
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.joint_commands import REGULATED
@@ -16,25 +16,15 @@ _N: Final = MAX_HORIZON_STEPS
 
 FORESIGHT: Final = record_dtype(
     [
-        ("standing", "i8", (_N, 4)),
-        ("slot", "i8", (_N, 4)),  # number of the leg's force among the variables, −1 in the air
-        ("arms", "f8", (_N, 4, 3)),
-        ("inverse_inertia", "f8", (_N, 3, 3)),
-        ("drift", "f8", (_N, 6)),  # acceleration without forces: gravity, and what the legs' motion takes
-        ("columns", "f8", (_N, 4, 3, 6)),  # acceleration by each force, in weights
-        ("nominal", "f8", (_N + 1, 3)),  # path of the body that the above are for, from where it is
-        ("target", "f8", (_N + 1, 12)),
-        ("free", "f8", (_N + 1, 12)),  # states without forces
-        ("costate", "f8", (12,)),
-        ("impulse", "f8", (6,)),
-        ("rotation", "f8", (3, 3)),
-        ("here", "f8", (3,)),  # reference's root from the robot's, now
-        ("offset", "f8", (4, 3)),  # of the place where a foot in the air will land from the reference's
-        ("com", "f8", (3,)),  # centre of mass from the root
-        ("vector", "f8", (3,)),
-        ("change", "f8", (6,)),  # of ẍ_des
-        ("apart", "f8", (12,)),  # of the plan from the reference
-        ("time", "i8", (2,)),
+        *integers(standing=(_N, 4), slot=(_N, 4), time=2),  # slot: number of the leg's force, −1 in the air
+        *floats(arms=(_N, 4, 3), inverse_inertia=(_N, 3, 3)),
+        # accelerations without forces (gravity, and what the legs' motion takes), and by each force, in weights
+        *floats(drift=(_N, 6), columns=(_N, 4, 3, 6)),
+        # path of the body that these are for, from where it is; targets, and states without forces
+        *floats(nominal=(_N + 1, 3), target=(_N + 1, 12), free=(_N + 1, 12), costate=12, impulse=6, rotation=(3, 3)),
+        # the reference's root from the robot's, now; of where feet in the air will land from the reference's; from the
+        # root to the centre of mass; changes of ẍ_des, and of the plan from the reference
+        *floats(here=3, offset=(4, 3), com=3, vector=3, change=6, apart=12),
     ]
 )
 """Work memory for one robot's horizon, one record per thread."""

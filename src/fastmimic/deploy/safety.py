@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.configuration import changed, check, documented, pack, parameter, record_fields
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import joint_ratio
@@ -139,14 +139,7 @@ class Violation:
 
 
 _LIMITS: Final = record_dtype(
-    [
-        ("joint_lower", "f8", (12,)),
-        ("joint_upper", "f8", (12,)),
-        ("speed_limit", "f8", (12,)),
-        ("torque_limit", "f8", (12,)),
-        ("dt", "f8"),
-        *record_fields(SafetyLimits),
-    ]
+    [*floats(joint_lower=12, joint_upper=12, speed_limit=12, torque_limit=12, dt=()), *record_fields(SafetyLimits)]
 )
 """Limits of the robot, the period, and `SafetyLimits`, as the kernels read them."""
 

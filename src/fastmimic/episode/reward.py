@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.base.vectors import quat_to_matrix, turn_rows
@@ -85,22 +85,17 @@ MAX_ANGLE: Final = np.pi / 2  # rad from the reference
 
 TALLY: Final = record_dtype(
     [
-        ("steps", "i8"),  # until the fall
-        ("fallen", "i8"),
-        ("terms", "f8", (N_TERMS,)),  # sums of the reward's terms
-        ("reward_sum", "f8"),
-        ("reward", "f8", (N_TERMS,)),  # the last step's terms
-        ("foot_error_sq", "f8", (4, 3)),  # body frame, sums, m²
-        ("peak", "f8", (4,)),  # greatest height of the foot in the swing under way, m
-        ("clearance_sum", "f8", (4,)),
-        ("swings", "i8", (4,)),
-        ("was_swing", "i8", (4,)),
-        ("slip", "f8", (4,)),  # path that the contact points of loaded feet slide in stance, sum, m
-        ("stances", "i8", (4,)),
-        ("foot_xy", "f8", (4, 2)),  # world, last step
-        ("jump", "f8"),  # sum of the distances hidden by the synchronisation until the fall, m
-        ("early_touchdowns", "i8"),  # until the fall
-        ("qp_failures", "i8"),  # until the fall
+        *integers(steps=(), fallen=()),  # steps until the fall
+        *floats(terms=N_TERMS, reward_sum=(), reward=N_TERMS),  # sums of the reward's terms; the last step's terms
+        *floats(foot_error_sq=(4, 3)),  # body frame, sums, m²
+        # greatest height of the foot in the swing under way, m, and sums of it
+        *floats(peak=4, clearance_sum=4),
+        *integers(swings=4, was_swing=4),
+        *floats(slip=4),  # path that the contact points of loaded feet slide in stance, sum, m
+        *integers(stances=4),
+        *floats(foot_xy=(4, 2)),  # world, last step
+        *floats(jump=()),  # sum of the distances hidden by the synchronisation until the fall, m
+        *integers(early_touchdowns=(), qp_failures=()),  # until the fall
         *TRACKING_SUMS,
     ]
 )  # running sums of one robot's episode

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.configuration import check, documented, pack, parameter, record_fields
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import record_dtype
+from fastmimic.base.jit import floats, record_dtype
 from fastmimic.robot import Robot
 
 HISTORY: Final = 3  # policy steps of sensors and actions in an observation, the present one included
@@ -53,11 +53,8 @@ class PolicyConfig:
 SETTINGS: Final = record_dtype(
     [
         *record_fields(PolicyConfig),
-        ("numerator", "f8", (3,)),  # of the filter
-        ("denominator", "f8", (2,)),  # without the leading 1
-        ("home", "f8", (12,)),  # rad, the target of a zero action
-        ("lower", "f8", (12,)),
-        ("upper", "f8", (12,)),
+        *floats(numerator=3, denominator=2),  # of the filter, without the leading 1
+        *floats(home=12, lower=12, upper=12),  # rad; home: the target of a zero action
     ]
 )
 """`PolicyConfig` and the robot's limits in the kernels' format."""

@@ -12,19 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
 
 SENSES: Final = record_dtype(
     [
-        ("imu", "f8", (HISTORY, IMU_SIZE)),  # newest first
-        ("joints", "f8", (HISTORY, 12)),
-        ("actions", "f8", (HISTORY, 12)),
-        ("filter_in", "f8", (2, 12)),  # rad, unfiltered targets of the last actions
-        ("filter_out", "f8", (2, 12)),
-        ("before", "f8", (12,)),  # rad, joint targets at the beginning and the end of the current action
-        ("after", "f8", (12,)),
+        *floats(imu=(HISTORY, IMU_SIZE), joints=(HISTORY, 12), actions=(HISTORY, 12)),  # newest first
+        # rad: unfiltered targets of the last actions; targets at the beginning and the end of the current one
+        *floats(filter_in=(2, 12), filter_out=(2, 12), before=12, after=12),
         ("age", "i8"),  # control steps since the last action; −1 before the first
     ]
 )
