@@ -134,7 +134,7 @@ def fastmimic(arguments: list[str]) -> int:
         rest += [] if "--no-video" in rest else ["--no-video"]
     if verb == "imitate" and "--duration" not in rest:
         rest += ["--duration", "4" if "push" in rest else "1.5"]  # pushes come until 3.1 s
-    of_log = any(word.endswith("log.npz") for word in rest)  # is scored as long as it is
+    of_log = any("deploy-" in word for word in rest)  # is scored as long as it is
     if verb in ("evaluate", "render") and "--duration" not in rest and not of_log:
         rest += ["--duration", "1.5" if "--log" in rest else "0.5"]
     if verb == "deploy":

@@ -67,9 +67,9 @@ def robot(case: Case, truth: Path, domain: int, *, real_time: bool) -> Iterator[
 def run(case: Case, seconds: float, domain: int, *, real_time: bool) -> dict[str, Any]:
     """Deploys, and scores by what the robot did."""
     with tempfile.TemporaryDirectory() as folder:
-        truth, out = Path(folder) / "truth.npz", Path(folder) / "out"
+        truth, out = Path(folder) / "truth.mcap", Path(folder) / "out"
         with robot(case, truth, domain, real_time=real_time):
-            options = [*case.options, *(["--real-time"] if real_time else [])]
+            options = [*case.options, "--real-time", "on" if real_time else "off"]
             deploy = command("deploy", case.motion, "--driver", "go2", "--domain", str(domain), "--yes", "--json")
             deploy += ["--duration", str(seconds), "--out", str(out), *options]
             done = subprocess.run(deploy, capture_output=True, text=True, env=ENVIRONMENT, check=False)
@@ -78,7 +78,7 @@ def run(case: Case, seconds: float, domain: int, *, real_time: bool) -> dict[str
         result = json.loads(done.stdout)
         result["case"] = case.name
         result["reward_robot_side"] = None
-        scored = called("evaluate", str(out / "log.npz"), "--truth", str(truth), "--json")
+        scored = called("evaluate", str(out / "log.mcap"), "--truth", str(truth), "--json")
         if scored is not None:
             result["reward_robot_side"] = scored["reward_mean"]
             result["swing_clearance_robot_side_m"] = scored["swing_clearance_m"]

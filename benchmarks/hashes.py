@@ -217,9 +217,32 @@ def deployments() -> Iterator[Case]:
             command(
                 "deploy", name.split(",")[0], "--driver", "sim", "--yes", "--lock-step", "--out", str(out), *options
             )
-            with np.load(out / "log.npz") as data:
-                kept = [k for k in sorted(data.files) if k not in ("solve_s", "meta_json", "motion_npz")]
-                yield f"deploy {name}", digest(*(data[k] for k in kept if data[k].dtype.kind in "fiubV"))
+            found = of_log(out)
+            yield f"deploy {name}", digest(*(found[k] for k in sorted(found.keys() - NOT_HASHED)))
+
+
+NOT_HASHED = {"solve_s", "meta_json", "motion_npz", "deployment_version"}
+NOT_HASHED |= {"received", "lost", "rejected", "foreign", "missed", "skipped"}
+"""Of a deployment's log: what takes time, and what not every version of it has."""
+
+
+def of_log(folder: Path) -> dict[str, Any]:
+    """The columns of a deployment's log, of the present kind or an earlier one's `.npz`."""
+    if (folder / "log.npz").is_file():
+        with np.load(folder / "log.npz") as data:
+            return dict(data)
+    from fastmimic.deploy.log import DeploymentLog
+
+    log = DeploymentLog.load(folder)
+    return columns("", log.rows) | columns("truth_", log.truth)
+
+
+def columns(prefix: str, rows: Any) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name in rows.dtype.names:
+        nested = rows.dtype[name].names
+        found |= columns(f"{prefix}{name}_", rows[name]) if nested else {f"{prefix}{name}": rows[name]}
+    return found
 
 
 GROUPS: dict[str, Callable[[], Iterator[Case]]] = {

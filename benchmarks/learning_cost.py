@@ -11,7 +11,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.experiments.comparison_run import RUNS, Row, finished_row
-from fastmimic.experiments.tables import NONE, Summary, spread, summaries
+from fastmimic.experiments.measurement import NONE, Summary, spread, summaries
 from fastmimic.imitation.methods import RL, method_named
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.checkpoint import Checkpoint

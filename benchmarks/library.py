@@ -28,13 +28,14 @@ from typing import Any
 import numpy as np
 from marked import put
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.machine import versions
 from fastmimic.clips.data import data_folder
 from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, MotionDataset, build_dataset, find_sources
 from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.excerpts import Survey, look_of, survey
 from fastmimic.dataset.index import DONE, FIGURES, record_file, sha256
-from fastmimic.dataset.jobs import Job, distance, perform, robot_digest
+from fastmimic.dataset.jobs import Job, distance, perform
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.imitation.imitate import imitate
@@ -63,7 +64,7 @@ def jobs_of(folder: Path, iterations: int) -> list[Job]:
     robot = load_robot("a1")
     recipe = BuildSettings(iterations=iterations)
     pieces = [piece for name in MOTIONS for piece in survey(DatasetSource(name), 0.5).pieces]
-    return [Job(piece, "a1", robot_digest(robot), 0, recipe, folder) for piece in pieces]
+    return [Job(piece, "a1", fingerprint(robot.content), 0, recipe, folder) for piece in pieces]
 
 
 def timed(executor: Executor, iterations: int) -> dict[str, Any]:
@@ -267,7 +268,7 @@ def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
 
 def copied(count: int, library: Path, clips: Path) -> None:
     """A library of one record, copied with other names and figures; its clips and motions are a few bytes each."""
-    recipe, digest = BuildSettings(), robot_digest(load_robot("a1"))
+    recipe, digest = BuildSettings(), fingerprint(load_robot("a1").content)
     made = MotionDataset(library)
     made.save_recipe(recipe)
     made.save_robot("a1", digest)

@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from cli.running import Run
 from fastmimic.deploy.log import DeploymentLog
+from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.motion.motion import Motion
 from fastmimic.runs.loading import load_motion
 
@@ -21,41 +21,41 @@ def test_it_prints_the_figures_and_writes_the_folder(run: Run, in_folder: Path) 
     assert "duration" in done.out
     assert done.err.splitlines()[-3:] == ["blending out of stand", "sitting down", "releasing the joints"]
     folder = in_folder / "runs" / "deploy-stand-a1-sim"
-    assert {path.name for path in folder.iterdir()} == {"log.npz", "motion.npz", "deployment.json"}
+    assert {path.name for path in folder.iterdir()} == {"log.mcap", "motion.npz", "deployment.json"}
     written = json.loads((folder / "deployment.json").read_text())
-    log = DeploymentLog.load(folder / "log.npz")
+    log = DeploymentLog.load(folder / "log.mcap")
     assert written["result"]["periods"] == len(log.rows)
     assert written["driver"] == "sim"
     assert written["limits"]["tilt"] == 0.6
     assert Motion.load(folder / "motion.npz").name == "stand"
     again = run("deploy", "stand", *QUICK)
-    assert "runs/deploy-stand-a1-sim-2/log.npz" in again.out
+    assert "runs/deploy-stand-a1-sim-2/log.mcap" in again.out
 
 
 def test_json_is_one_object_on_stdout(run: Run) -> None:
-    done = run("deploy", "stand", *QUICK, "--json", "--out", "there", "--log", "elsewhere.npz")
+    done = run("deploy", "stand", *QUICK, "--json", "--out", "there", "--log", "elsewhere.mcap")
     found = json.loads(done.out)
     assert found["stopped_by"] == "duration"
     assert not found["fell"]
     for name in ("period_error_us", "control_us", "write_us", "round_trip_us"):
         assert {"median", "p99", "max"} == found[name].keys()
-    assert {"sent", "received", "lost", "rejected"} == found["packets"].keys()
+    assert {"sent", "received", "lost", "rejected", "foreign"} == found["packets"].keys()
     assert found["reward_mean"] > 0.9
-    assert found["log"] == "elsewhere.npz"
-    assert Path("elsewhere.npz").is_file()
-    assert not Path("there/log.npz").exists()
+    assert found["log"] == "elsewhere.mcap"
+    assert Path("elsewhere.mcap").is_file()
+    assert not Path("there/log.mcap").exists()
 
 
 def test_its_log_can_be_evaluated(run: Run) -> None:
     run("deploy", "stand", *QUICK, "--out", "there")
-    done = run("evaluate", "there/log.npz", "--json")
+    done = run("evaluate", "there/log.mcap", "--json")
     found = json.loads(done.out)
     assert found["motion"] == "stand"
     assert found["driver"] == "sim"
     assert found["reward_mean"] == found["result"]["reward_truth_mean"]
-    assert "the simulator's ground truth" in run("evaluate", "there/log.npz").out
-    assert "there/log.npz: the log is 0.50 s long" in run("identify", "there/log.npz").error
-    assert "drop --episodes" in run("evaluate", "there/log.npz", "--episodes", "2").error
+    assert "the simulator's ground truth" in run("evaluate", "there/log.mcap").out
+    assert "there/log.mcap: the log is 0.50 s long" in run("identify", "there/log.mcap").error
+    assert "drop --episodes" in run("evaluate", "there/log.mcap", "--episodes", "2").error
 
 
 def test_a_violation_has_a_status_and_a_line_of_its_own(run: Run) -> None:
@@ -74,13 +74,13 @@ def test_a_dry_run_shows_the_commands(run: Run) -> None:
     assert "standing up, 1.5 s" in done.out
     assert "FR_knee" in done.out
     assert "of 33.5" in done.out
-    assert not DeploymentLog.load("there/log.npz").rows["sent"].any()
+    assert not DeploymentLog.load("there/log.mcap").rows["sent"].any()
 
 
 def test_a_planning_controller_plans_in_every_period(run: Run) -> None:
     done = run("deploy", "stand", *QUICK, "--method", "lh", "--json", "--out", "there")
-    rows = DeploymentLog.load("there/log.npz").rows
-    following = rows[rows["phase"] == 4]
+    rows = DeploymentLog.load("there/log.mcap").rows
+    following = rows[rows["phase"] == DeploymentPhase.FOLLOW]
     assert (following["solve_s"] > 0.0).all()
     assert json.loads(done.out)["solve_us"]["median"] > 0.0
 
@@ -92,7 +92,7 @@ def test_its_report_is_a_page_of_its_own(run: Run) -> None:
     page = Path("there/report.html").read_text(encoding="utf-8")
     for said in ("stand on a1, deployed by driver sim", "Ended as planned (duration)", "Motor torque", "height_least"):
         assert said in page
-    Path("there/log.npz").unlink()
+    Path("there/log.mcap").unlink()
     done = run("report", "there")
     assert "without the plots" in done.err
     assert "Motor torque" not in Path("there/report.html").read_text(encoding="utf-8")
@@ -126,8 +126,8 @@ BAD = {
     "a policy's method": (["stand", *QUICK, "--method", "rl"], "needs a trained policy"),
     "no policy": (["trot", *QUICK, "--policy", "none.npz"], "none.npz"),
     "loss": (["stand", *QUICK, "--loss", "2"], "link: loss must be in [0, 1]"),
-    "somebody's folder": (["stand", *QUICK, "--out", "taken"], "taken holds something else than a deployment"),
-    "log": (["stand", *QUICK, "--log", "log.txt"], "must end in .npz"),
+    "somebody's folder": (["stand", *QUICK, "--out", "taken"], "taken holds an earlier deployment or something else"),
+    "log": (["stand", *QUICK, "--log", "log.txt"], "must end in .mcap"),
     "disturbance": (["stand", *QUICK, "--disturb", "wind=3"], "wind"),
 }
 
@@ -151,7 +151,8 @@ def test_bad_input_is_one_line(case: str, run: Run, in_folder: Path, monkeypatch
 
 def test_a_damaged_log_is_said_to_be_one(run: Run, in_folder: Path) -> None:
     run("deploy", "stand", *QUICK, "--out", "there")
-    with np.load("there/log.npz") as file:
-        arrays = {key: file[key] for key in file.files if key != "reading_quat"}
-    np.savez("cut.npz", **arrays)
-    assert "cut.npz: the log is damaged" in run("evaluate", "cut.npz").error
+    content = bytearray(Path("there/log.mcap").read_bytes())
+    content[len(content) // 2] ^= 1
+    Path("bad.mcap").write_bytes(content)
+    for verb in ("evaluate", "identify", "view"):
+        assert "bad.mcap: the log is damaged (crc validation failed in Chunk" in run(verb, "bad.mcap").error

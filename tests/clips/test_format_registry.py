@@ -11,7 +11,7 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import FORMATS, Content, Format, ReadOptions, detect_format, read_clip, suffixes
-from fastmimic.dataset.sources import find_sources
+from fastmimic.dataset.excerpts import find_sources
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "extend" / "motion_format.py"
 

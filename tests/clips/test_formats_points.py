@@ -113,8 +113,8 @@ def test_a_point_map_names_the_joints_of_another_skeleton(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("{", "not JSON"),
-        ("[1]", "is a JSON object of names"),
+        ("{", "cannot be read (Expecting property name"),
+        ("[1]", "does not hold a JSON object"),
         (json.dumps({"pelvis": 3}), "is a JSON object of names"),
         (json.dumps({"pelvs": "Hips"}), "does not know 'pelvs'; did you mean 'pelvis'"),
         (json.dumps({"pelvis": "Hips"}), "lacks neck, FR_hip"),
@@ -133,6 +133,11 @@ def test_a_point_map_that_is_none_is_refused(content: str, words: str, tmp_path:
     [
         ("MOTION", "MOTIO", "line 62: 'MOTIO' is not expected"),
         ("OFFSET 1 2 3", "OFFSET 1 2", "'OFFSET 1 2' is not expected"),
+        (
+            "CHANNELS 3 Xposition",
+            "CHANNELS 1 Zposition CHANNELS 3 Xposition",
+            "'CHANNELS 3 Xposition Yposition Zposition' is",
+        ),
         ("CHANNELS 3 Xposition", "CHANNELS 3 Wposition", "expected 3 different channels"),
         ("Frames: 96", "Frames: 90", "says that it has 90 frames; it has 96"),
         ("Frames: 96", "Frames: x", "expected 'Frames: N'"),

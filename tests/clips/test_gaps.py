@@ -13,8 +13,7 @@ from fastmimic.clips.clip import POINT_NAMES
 from fastmimic.clips.formats import ReadOptions, read_clip
 from fastmimic.clips.formats.gaps import mend, outliers
 from fastmimic.clips.synthesis import GAITS, generate
-from fastmimic.dataset.excerpts import survey
-from fastmimic.dataset.sources import DatasetSource
+from fastmimic.dataset.excerpts import DatasetSource, survey
 
 RATE = 120.0
 TOE = POINT_NAMES.index("FR_toe")

@@ -7,7 +7,7 @@ from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.config_parts import GaitConfig
-from fastmimic.control.gait import plan_leg
+from fastmimic.control.stance import plan_leg
 from fastmimic.robot.state import MEMORY
 
 WEIGHT = 100.0  # N

@@ -10,6 +10,7 @@ from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.config_parts import StanceConfig
+from fastmimic.control.controller import SCRATCH, constant_gains_of
 from fastmimic.control.native import make_workspace
 from fastmimic.control.stance import (
     _HOLD_STEPS,
@@ -19,7 +20,7 @@ from fastmimic.control.stance import (
     stance_forces,
 )
 from fastmimic.robot.robot import A1_MASS_KG
-from fastmimic.robot.state import MEMORY
+from fastmimic.robot.state import MEMORY, MODEL
 
 MASS = 12.0
 WEIGHT = MASS * GRAVITY
@@ -44,23 +45,16 @@ class Stance:
         self.arms = np.array(arms if arms is not None else square(0.2, 0.13, 0.27))
         self.memory = np.zeros(1, MEMORY)
         self.qp = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)
-        self.inverse_inertia = np.linalg.inv(INERTIA)
+        self.model, self.gain, self.scratch = np.zeros(1, MODEL), constant_gains_of(stance), np.zeros(1, SCRATCH)
+        self.model["mass"] = MASS
+        self.scratch["inverse_inertia"], self.scratch["against"] = np.linalg.inv(INERTIA), (0.0, 0.0, GRAVITY)
+        self.scratch["arms"] = self.arms
 
     def solve(self, desired: np.ndarray, legs: tuple[int, ...]) -> bool:
         self.memory["stance"] = [leg in legs for leg in range(4)]
-        return stance_forces(
-            self.config[0],
-            MASS,
-            self.inverse_inertia,
-            self.arms,
-            np.asarray(desired, float),
-            np.array([0.0, 0.0, GRAVITY]),
-            np.diag(self.stance.acceleration_weight),
-            self.memory[0],
-            self.qp[0],
-            np.zeros((12, 6)),
-            np.zeros((12, 6)),
-        )
+        self.scratch["desired"] = desired
+        records = self.config, self.model, self.gain, self.memory, self.scratch, self.qp
+        return stance_forces(*(record[0] for record in records))
 
     @property
     def force(self) -> np.ndarray:

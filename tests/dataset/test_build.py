@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from dataset.conftest import RECIPE, contents, of
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import LibraryError, OutputError, WorkerError
 from fastmimic.dataset import BuildRequest, DatasetSource, MotionDataset, build_dataset, find_sources
 from fastmimic.dataset.build import Built
 from fastmimic.dataset.excerpts import survey
 from fastmimic.dataset.index import COLUMNS, load_record, read_record
-from fastmimic.dataset.jobs import Job, give_up, perform, robot_digest
+from fastmimic.dataset.jobs import Job, give_up, perform
 from fastmimic.dataset.repair import check, mend, rerun
 from fastmimic.executors import make_executor
 from fastmimic.imitation.evaluate import evaluate
@@ -253,10 +254,10 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     with pytest.raises(LibraryError, match="iterations was 3"):
         build_dataset(longer, mine, HERE)
     begun = []
-    from fastmimic.dataset import jobs
+    from fastmimic.experiments import measurement
 
-    whole = jobs.imitate
-    monkeypatch.setattr(jobs, "imitate", lambda *a, **k: begun.append(k["resume"]) or whole(*a, **k))
+    whole = measurement.imitate
+    monkeypatch.setattr(measurement, "imitate", lambda *a, **k: begun.append(k["resume"]) or whole(*a, **k))
     again = build_dataset(longer, mine, HERE, update=True)
     assert begun == [True]
     assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
@@ -409,7 +410,7 @@ def test_the_index_of_a_running_build_is_written_once(mine: Path, monkeypatch: p
 def job_of(name: str, folder: Path) -> Job:
     """As `build` makes it."""
     (piece,) = survey(DatasetSource(name), 0.5).pieces
-    return Job(piece, "a1", robot_digest(load_robot("a1")), 0, RECIPE, folder)
+    return Job(piece, "a1", fingerprint(load_robot("a1").content), 0, RECIPE, folder)
 
 
 def test_a_failure_does_not_replace_what_another_builder_has_done(mine: Path) -> None:
@@ -433,16 +434,16 @@ def test_names_are_as_long_as_file_systems_allow(tmp_path: Path) -> None:
 
 
 def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fastmimic.dataset import jobs
+    from fastmimic.experiments import measurement
 
-    whole = jobs.imitate
+    whole = measurement.imitate
 
     def sometimes(motion, *a, **k):  # type: ignore[no-untyped-def]
         if motion.name == "pace":
             raise ZeroDivisionError("a defect")
         return whole(motion, *a, **k)
 
-    monkeypatch.setattr(jobs, "imitate", sometimes)
+    monkeypatch.setattr(measurement, "imitate", sometimes)
     rows = build_dataset(of("trot", "pace"), tmp_path, HERE).rows
     assert [(row["name"], row["grade"]) for row in rows] == [("pace", "failed"), ("trot", "A")]
     assert "unexpected ZeroDivisionError" in rows[0]["lacks"]

@@ -37,7 +37,7 @@ def working() -> list[int]:
     found = []
     for entry in Path("/proc").iterdir():
         try:
-            if entry.name.isdigit() and (entry / "cmdline").read_bytes().startswith(b"ray::_work"):
+            if entry.name.isdigit() and (entry / "cmdline").read_bytes().startswith(b"ray::attempt"):
                 found.append(int(entry.name))
         except OSError:
             continue  # it has just ended

@@ -37,9 +37,9 @@ class Tampered:
     def packets(self) -> Packets:
         return self.driver.packets
 
-    @property
-    def truth(self) -> Any:
-        return getattr(self.driver, "truth", None)
+    def truth_at(self, sequence: NDArray[np.int64]) -> Any:
+        assert isinstance(self.driver, SimDriver)
+        return self.driver.truth_at(sequence)
 
     def open(self) -> None:
         self.opened += 1

@@ -8,8 +8,9 @@ import pytest
 from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError, MotionError
 from fastmimic.control.config import default_config
-from fastmimic.deploy.computer import VirtualClock
-from fastmimic.deploy.deployment import Deployment, figures, score_log, summary_rows
+from fastmimic.deploy.account import summary_rows
+from fastmimic.deploy.computer import LoopClock, Rehearsal, VirtualClock
+from fastmimic.deploy.deployment import Deployment, figures, score_log
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.safety import SafetyLimits, StopReason
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
@@ -188,10 +189,8 @@ def test_a_passage_too_short_is_refused(a1: Robot, trot: Motion) -> None:
 
 
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
-    log = stands.run().log
-    log.meta["driver"] = "sim"
-    log.save(tmp_path / "log.npz")
-    again = DeploymentLog.load(tmp_path / "log.npz")
+    log = stands.run(log=tmp_path / "log.mcap").log
+    again = DeploymentLog.load(tmp_path / "log.mcap")
     assert again.rows.tobytes() == log.rows.tobytes()
     assert again.truth is not None
     assert log.truth is not None
@@ -200,7 +199,7 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     assert again.motion.joint_pos.tobytes() == log.motion.joint_pos.tobytes()
     score = score_log(a1, again, default_config())
     assert score is not None
-    assert score.reward[0] == log.meta["result"]["reward_mean"]
+    assert score.rollout.reward[0] == log.meta["result"]["reward_mean"]
 
 
 def test_a_run_is_scored_with_its_own_contact_threshold(trotting: Rig) -> None:
@@ -219,7 +218,7 @@ def test_a_long_run_keeps_its_end(stands: Rig) -> None:
     assert len(rows) < done.result["periods"]
     np.testing.assert_allclose(np.diff(rows["time_s"]), 0.002, atol=1e-9)
     assert rows["phase"][-1] == DeploymentPhase.RELEASE
-    assert "not in the log" in said[0]
+    assert "without the first" in said[0]
 
 
 def test_a_dry_run_sends_nothing(stands: Rig) -> None:
@@ -257,6 +256,7 @@ def test_stopped_while_it_prepares_nothing_is_sent(stands: Rig) -> None:
 def test_a_robot_on_its_side_is_not_made_to_stand(stands: Rig) -> None:
     def rolled(state):
         state.reading["quat"] = np.cos(0.7), np.sin(0.7), 0.0, 0.0
+        state.reading["accel"] = 0.0, 9.81 * np.sin(1.4), 9.81 * np.cos(1.4)
         return state
 
     stands.driver.change = rolled
@@ -342,7 +342,33 @@ def test_a_robot_on_its_back_has_fallen_whatever_stopped_it(trotting: Rig, a1: R
     def press(machine: StateMachine) -> None:
         trotting.switch.key = "q"
 
-    lenient = dataclasses.replace(SafetyLimits.of(a1), tilt=1.5, height_least=0.01)
+    lenient = dataclasses.replace(SafetyLimits.of(a1), tilt=1.5, height_least=0.01, sensors_gravity=9.0)
     done = trotting.run(duration_s=6.0, limits=lenient, watch=once(tipped, press))
     assert done.outcome.stopped_by is StopReason.KEY
     assert done.result["fell"]
+
+
+def test_a_rehearsal_lasts_a_second_whenever_it_begins_and_says_what_is_too_late() -> None:
+    class Slow(LoopClock):
+        """A computer whose every hundredth period begins 30 ms late."""
+
+        time_s, waits = 5.0, 0
+
+        def now(self) -> float:
+            return self.time_s
+
+        def sleep_until(self, moment: float) -> None:
+            self.waits += 1
+            self.time_s = moment + (0.03 if self.waits % 100 == 0 else 1e-5)
+
+    clock = Slow()
+    rehearsal = Rehearsal(clock, 0.002)
+    clock.time_s += 60.0  # the first use compiles
+    periods = 0
+    while rehearsal():
+        periods += 1
+        clock.time_s += 0.0005
+    assert periods == 500
+    said = rehearsal.text(0.02)
+    assert "rehearsed 500 Hz: periods at most 30.0 ms late, done in 0.5 ms: this computer is too busy" in said
+    assert rehearsal.text(0.05).endswith("done in 0.5 ms")

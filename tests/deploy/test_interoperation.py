@@ -25,7 +25,7 @@ from deploy.dds_domains import free_domain
 from fastmimic.deploy.dds.cyclone import configuration
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
-from fastmimic.deploy.log import GroundTruthLog
+from fastmimic.deploy.log import GROUND_TRUTH, Recorder
 from fastmimic.deploy.sim_server import SimServer, SimSettings
 from fastmimic.robot import load_robot
 from fastmimic.robot.state import COMMAND
@@ -113,7 +113,7 @@ def test_a_driver_reads_a_robot_on_0_10_and_commands_it(start: Callable[..., sub
 
 def test_a_client_on_0_10_reads_and_commands_the_simulated_robot(start: Callable[..., subprocess.Popen[str]]) -> None:
     domain = free_domain()
-    stop, log = threading.Event(), GroundTruthLog()
+    stop, log = threading.Event(), Recorder(GROUND_TRUTH, 60_000)
     with contextlib.closing(SimServer(load_robot("go2"), SimSettings(domain=domain), log)) as sim:
         client = start(domain, "client")
         runner = threading.Thread(target=sim.run, args=(stop, 60.0))

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,11 @@ pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from deploy.dds_domains import free_domain
 from fastmimic.cli import main
+from fastmimic.deploy.dds.cyclone import Participant, Writer
+from fastmimic.deploy.driver import damping_command
+from fastmimic.deploy.go2 import messages
+from fastmimic.deploy.log import GROUND_TRUTH, ROBOT_SIM, load_ground_truth
+from fastmimic.deploy.log_file import LogFile
 
 pytestmark = pytest.mark.real_time
 
@@ -30,7 +36,7 @@ class Sim:
 
     def __init__(self, folder: Path) -> None:
         self.domain = free_domain()
-        self.truth = folder / "truth.npz"
+        self.truth = folder / "truth.mcap"
         options = ["--domain", str(self.domain), "--watchdog-ms", "300", "--json", "--log", str(self.truth)]
         self._process = fastmimic("robot-sim", *options, cwd=folder)
 
@@ -77,16 +83,17 @@ def test_a_robot_stands_up_and_lies_down_again(sim: Sim, tmp_path: Path, capsys:
     assert told["base_pos"][2] < 0.2  # it lies
     stood = scored(capsys, tmp_path, sim.truth)
     assert stood["pose"] > 0.9  # the velocities' share depends on how busy the machine is
-    with np.load(sim.truth) as file:
-        arrays = dict(file)
-    arrays["joint_pos"] = arrays["joint_pos"] + 0.2
-    np.savez(tmp_path / "bent.npz", **arrays)
-    assert scored(capsys, tmp_path, tmp_path / "bent.npz")["pose"] < stood["pose"] - 0.2  # by what the robot really did
+    rows = load_ground_truth(sim.truth)
+    rows["observation"]["joint_pos"] += 0.2
+    bent = LogFile(tmp_path / "bent.mcap", {ROBOT_SIM: GROUND_TRUTH}, len(rows))
+    bent.add_rows(np.arange(len(rows)), {ROBOT_SIM: rows})
+    bent.end({})
+    assert scored(capsys, tmp_path, bent.path)["pose"] < stood["pose"] - 0.2  # by what the robot really did
 
 
 def scored(capsys: pytest.CaptureFixture[str], folder: Path, truth: Path) -> dict[str, float]:
     """Terms of the reward of the deployment in `folder`, by the true states."""
-    assert main(["evaluate", str(folder / "there" / "log.npz"), "--truth", str(truth), "--json"]) == 0
+    assert main(["evaluate", str(folder / "there" / "log.mcap"), "--truth", str(truth), "--json"]) == 0
     return dict(json.loads(capsys.readouterr().out)["components"])
 
 
@@ -105,3 +112,30 @@ def test_whose_program_is_killed_while_it_stands_damps_itself(sim: Sim, tmp_path
     assert told["damped"] == 1
     assert told["damped_s"] > 1.0
     assert told["base_pos"][2] < 0.2
+
+
+@pytest.mark.parametrize(("limit", "ends"), [("damp", "was damped while"), ("sit", "sat down")])
+def test_another_program_that_commands_the_motors_is_heard(sim: Sim, tmp_path: Path, limit: str, ends: str) -> None:
+    process = deploying(sim, tmp_path, "--endless", "--json", "--limit", f"foreign={limit}")
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "blending into stand" in line:
+            break
+    with closing(Participant(sim.domain)) as stranger:
+        writer = Writer(stranger, messages.LOW_COMMAND_TOPIC, messages.LowCommand)
+        wire = messages.CommandWire(writer.record)
+        wire.clear()
+        for _ in range(250):
+            wire.write(damping_command(0.0))
+            writer.write()
+            time.sleep(0.002)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 3, err
+    found = json.loads(out)
+    assert found["stopped_by"] == "foreign_commands"
+    assert "another program sends commands to the robot's motors" in err
+    assert ends in err
+    heard = found["packets"]["foreign"]
+    assert heard > 0
+    if limit == "damp":  # within 50 ms: the stranger sends one in 2 ms
+        assert int(err.split("motors, ")[1].split(" until now")[0]) <= 25

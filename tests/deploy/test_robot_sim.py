@@ -19,16 +19,16 @@ pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 
 from deploy.dds_domains import free_domain
-from fastmimic.base.errors import ConfigError, DriverError, OutputError
+from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.cli import main
 from fastmimic.deploy.dds.cyclone import Participant
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
-from fastmimic.deploy.log import GroundTruthLog, load_ground_truth
+from fastmimic.deploy.log import GROUND_TRUTH, Recorder, load_ground_truth
 from fastmimic.deploy.sim import LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.deploy.sim_server import PHYSICS_RATE_HZ, SimServer, SimSettings, go2_body
 from fastmimic.robot import Robot, load_robot
-from fastmimic.robot.state import COMMAND, OBSERVATION
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.config import ideal_sensors
 
 
@@ -167,24 +167,6 @@ def test_faults_are_shares_and_seconds(wrong: dict[str, float]) -> None:
         LinkFaults(**wrong)
 
 
-def test_a_log_is_read_back_as_it_was_written(tmp_path: Path) -> None:
-    log, rng = GroundTruthLog(), np.random.default_rng(0)
-    observation, command = np.zeros(1, OBSERVATION), np.zeros(1, COMMAND)
-    for k in range(5000):
-        observation["root_pos"], command["torque"] = rng.standard_normal(3), k
-        log.add(0.002 * k, 2 * k, observation, command, k % 2 == 0, k < 3)
-    log.save(tmp_path / "truth.npz")
-    read = load_ground_truth(tmp_path / "truth.npz")
-    assert len(read) == 5000
-    assert read.tobytes() == log.rows().tobytes()
-
-
-def test_another_file_is_no_log(tmp_path: Path) -> None:
-    np.savez(tmp_path / "other.npz", a=1)
-    with pytest.raises(OutputError, match="not a log"):
-        load_ground_truth(tmp_path / "other.npz")
-
-
 def running(sim: SimServer) -> Iterator[None]:
     stop = threading.Event()
     thread = threading.Thread(target=sim.run, args=(stop, 120.0))
@@ -202,7 +184,7 @@ def simulated(go2: Robot) -> Iterator[Callable[..., SimServer]]:
     open_ones: list[tuple[SimServer, Iterator[None]]] = []
 
     def call(**settings: Any) -> SimServer:
-        sim = SimServer(go2, SimSettings(domain=free_domain(), **settings), GroundTruthLog())
+        sim = SimServer(go2, SimSettings(domain=free_domain(), **settings), Recorder(GROUND_TRUTH, 1000))
         runner = running(sim)
         next(runner)
         open_ones.append((sim, runner))
@@ -310,7 +292,7 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
     go2: Robot, process: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     domain = free_domain()
-    robot = process("--domain", str(domain), "--log", "truth.npz", "--watchdog-ms", "500")
+    robot = process("--domain", str(domain), "--log", "truth.mcap", "--watchdog-ms", "500")
     assert robot.stderr is not None
     assert "Ctrl-C" in next(line for line in robot.stderr if "compiles" not in line)
     with Go2Driver(go2, domain=domain) as driver:
@@ -333,12 +315,27 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
     assert account["commands_rejected"] == 0
     assert account["damped"] >= 1
     assert not account["fell"]
-    truth = load_ground_truth(tmp_path / "truth.npz")
+    truth = load_ground_truth(tmp_path / "truth.mcap")
     at = int(np.searchsorted(truth["tick"], state.sequence))
     assert truth["tick"][at] == state.sequence
     assert truth["observation"]["root_pos"][at, 2] == pytest.approx(go2.home_height, abs=0.03)
     assert truth["observation"]["joint_pos"][at] == pytest.approx(state.reading["joint_pos"][0], abs=0.05)
-    assert account["duration_s"] == pytest.approx(truth["time"][-1], abs=0.01)
+    assert account["duration_s"] == pytest.approx(truth["time_s"][-1], abs=0.01)
+
+
+def test_a_process_that_is_killed_leaves_what_it_really_did(
+    process: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    robot = process("--domain", str(free_domain()), "--log", "truth.mcap")
+    assert robot.stderr is not None
+    assert "Ctrl-C" in next(line for line in robot.stderr if "compiles" not in line)
+    time.sleep(2.0)
+    robot.kill()
+    robot.communicate()
+    rows = load_ground_truth(tmp_path / "truth.mcap")
+    assert rows["time_s"][-1] > 0.5
+    np.testing.assert_array_equal(np.diff(rows["tick"]), rows["tick"][0])
+    assert rows["observation"]["root_pos"][:, 2].max() < 0.2, "m: it lies"
 
 
 def test_a_second_robot_in_the_domain_ends_with_one_line_and_the_first_goes_on(
@@ -362,7 +359,7 @@ def test_a_second_robot_in_the_domain_ends_with_one_line_and_the_first_goes_on(
         (("--robot", "a1"), "does not speak the protocol of a a1"),
         (("--loss", "1.2"), "loss must be in [0, 1], found 1.2"),
         (("--domain", "231"), "a number from 0 to 230"),
-        (("--log", "truth.csv"), "must end in .npz"),
+        (("--log", "truth.csv"), "must end in .mcap"),
         (("--dead-after", "-1"), "dead_after_s must not be negative, found -1"),
     ],
 )

@@ -42,6 +42,8 @@ def assert_stopped(rig: Rig, done: Deployment, reason: StopReason, text: str) ->
     damped = rows[rows["phase"] == DeploymentPhase.DAMP]
     assert len(damped) == round(SafetyLimits().damping_s * 500)
     np.testing.assert_array_equal(damped["command"]["stiffness"], 0.0)
+    crouched = (rows["phase"] == DeploymentPhase.CROUCH).sum()
+    assert crouched == (round(SafetyLimits().crouch_s * 500) if reason.crouches else 0)
     assert done.result["periods"] == len(rows)
 
 
@@ -84,7 +86,11 @@ STATES = {
     ),
     "a motor beyond all": (("torque", at(0, 60.0)), StopReason.TORQUE, "FR_abduction: torque 60.00 N·m, beyond 50.25"),
     "a motor at its limit for long": (("torque", at(7, -33.0)), StopReason.TORQUE, "for more than 0.3 s"),
-    "tilted": (("quat", lambda q: np.array([np.cos(0.4), 0.0, np.sin(0.4), 0.0])), StopReason.TILT, "0.80 rad"),
+    "an orientation that jumps": (
+        ("quat", lambda q: np.array([np.cos(0.4), 0.0, np.sin(0.4), 0.0])),
+        StopReason.IMU,
+        "orientation and gyroscope differ by 0.78 rad; 0.1 are allowed",
+    ),
     "not a number": (("gyro", at(1, np.nan)), StopReason.NOT_FINITE, "a state of the robot is not finite"),
     "infinite": (("accel", at(1, np.inf)), StopReason.NOT_FINITE, "a state of the robot is not finite"),
 }
@@ -100,10 +106,9 @@ def test_a_state_beyond_the_limits(case: str, stands: Rig) -> None:
 def test_a_robot_that_is_tipped_over(stands: Rig) -> None:
     def tip(machine: StateMachine) -> None:
         state = stands.sim.truth[-1]
-        roll = np.array([[np.cos(0.4), np.sin(0.4), 0.0, 0.0]])
-        still = np.zeros((1, 3))
-        position = state["root_pos"][None] + [[0.0, 0.0, 0.2]]
-        stands.sim.body.simulation.reset(position, roll, state["joint_pos"][None], still, still, np.zeros((1, 12)))
+        position, rolling = state["root_pos"][None] + [[0.0, 0.0, 0.2]], np.array([[9.0, 0.0, 0.0]])
+        rest = state["root_quat"][None], state["joint_pos"][None], np.zeros((1, 3)), rolling, np.zeros((1, 12))
+        stands.sim.body.simulation.reset(position, *rest)
 
     done = stands.run(watch=once(following, tip))
     assert done.outcome.stopped_by is StopReason.TILT
@@ -268,11 +273,12 @@ def test_a_bug_in_the_loop_damps_the_robot_as_well(stands: Rig) -> None:
     assert stands.driver.closed == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal(stands: Rig, number: signal.Signals) -> None:
     before = signal.getsignal(number)
     done = stands.run(watch=once(following, lambda machine: os.kill(os.getpid(), number)))
     assert_stopped(stands, done, StopReason.SIGNAL, "a signal")
+    assert DeploymentPhase.CROUCH in done.log.rows["phase"]
     assert signal.getsignal(number) is before
 
 
@@ -300,6 +306,7 @@ def test_a_key_in_the_terminal(stands: Rig, key: str) -> None:
         done = stands.run(watch=once(following, press))
     os.close(keyboard)
     assert_stopped(stands, done, StopReason.KEY, "a key")
+    assert DeploymentPhase.CROUCH not in done.log.rows["phase"]
 
 
 def test_the_key_that_has_it_sit_down_and_keys_that_mean_nothing() -> None:

@@ -17,11 +17,11 @@ from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
 from fastmimic.experiments.compare import ComparisonPlan, RunProgress, prepare
 from fastmimic.experiments.comparison_run import ComparisonFolder, ComparisonSettings, Row, finished_row
-from fastmimic.experiments.tables import COLUMNS, ablation_table, comparison_table, summaries
+from fastmimic.experiments.measurement import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.report.comparison_figures import write_comparison
+from fastmimic.report.experiment_figures import write_comparison
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 from searches import QUICK_CHOICE

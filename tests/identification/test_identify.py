@@ -172,7 +172,7 @@ class TestLogFile:
         with np.load(path) as file:
             arrays = dict(file)
         for changes, said in (
-            ({"reading_torque": arrays["reading_torque"][:-1]}, r"'reading_torque' has the shape \(999, 12\)"),
+            ({"reading_torque": arrays["reading_torque"][:-1]}, r"'reading_torque' is float32\(999, 12\)"),
             ({"command_torque": np.full((STEPS, 12), np.nan)}, "'command_torque' is not finite in row 0"),
             ({"about": np.array("{}")}, "not the log of a run"),
         ):

@@ -18,7 +18,7 @@ from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.stitched import segment_clearance
 from fastmimic.primitive import MotionDmp
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.transition import Layout
 from searches import PART_DURATION_S
 
 FEW: dict[str, Any] = {

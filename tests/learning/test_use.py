@@ -14,13 +14,13 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
 from fastmimic.experiments.compare import ComparisonPlan, choose_policies, prepare
 from fastmimic.experiments.comparison_run import ComparisonFolder, ComparisonSettings, Row
-from fastmimic.experiments.tables import comparison_table
+from fastmimic.experiments.measurement import comparison_table
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS
 from fastmimic.learning.policy import controlled_by
 from fastmimic.motion.motion import Motion
-from fastmimic.report.comparison_figures import write_comparison
+from fastmimic.report.experiment_figures import write_comparison
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from learning.hand_made import follower

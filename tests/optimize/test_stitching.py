@@ -26,7 +26,7 @@ from fastmimic.primitive import MotionDmp
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.join import stitch_motions
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.transition import Layout
 from searches import QUICK_CHOICE
 
 LEGS_Z = 8  # parameters of a segment

@@ -7,11 +7,13 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from fastmimic.play.session import LiveSession
 from fastmimic.reference.motion_set import IN_PLACE
 from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot
-from fastmimic.viewer.web import HOST
+from fastmimic.viewer.viewer import HOST
 
 GAMEPAD = """
 const pad = {axes: [0, 0, 0, 0], buttons: Array.from({length: 16}, () => ({pressed: false}))};
@@ -97,6 +99,9 @@ def test_the_command_serves_on_loopback_and_ends_at_ctrl_c() -> None:
             url = next(word for word in line.split() if word.startswith("http://"))
             with urllib.request.urlopen(url, timeout=PATIENCE_S) as page:
                 assert b"<html" in page.read().lower()
+            with pytest.raises(urllib.error.HTTPError, match="403") as refused:  # nobody steers without the token
+                urllib.request.urlopen(f"http://{HOST}:{urlsplit(url).port}/", timeout=PATIENCE_S)
+            assert b"printed where it was started" in refused.value.read()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=PATIENCE_S)
         finally:
@@ -105,7 +110,7 @@ def test_the_command_serves_on_loopback_and_ends_at_ctrl_c() -> None:
     assert process.returncode == 0
     assert out == ""
     said = [line for line in err.splitlines() if not line.startswith("preparing")]
-    assert said == [f"port {taken} is taken; listening on {url.rpartition(':')[2]} instead", "closed"]
+    assert said == [f"port {taken} is taken; listening on {urlsplit(url).port} instead", "closed"]
 
 
 @contextmanager

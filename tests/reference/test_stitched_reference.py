@@ -9,7 +9,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks, reference_table, world_root
 from fastmimic.robot import Robot
 from fastmimic.stitching.join import stitch_motions
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.transition import Layout
 
 
 @pytest.fixture(scope="module")

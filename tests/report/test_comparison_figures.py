@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from fastmimic.experiments.tables import Summary
-from fastmimic.report.comparison_figures import ablation_figure, comparison_figure, tracking_bars
+from fastmimic.experiments.measurement import Summary
+from fastmimic.report.experiment_figures import ablation_figure, comparison_figure, tracking_bars
 
 
 def summary(

@@ -19,8 +19,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
 from fastmimic.optimize.cma_es import History
 from fastmimic.render.figure_style import save
-from fastmimic.report.figures import convergence_figure, tracking_figure
-from fastmimic.report.inspection import motion_figure
+from fastmimic.report.figures import convergence_figure, motion_figure, tracking_figure
 from fastmimic.robot import Robot
 
 TIME = np.arange(0, 1.0, 0.01)
@@ -225,7 +224,7 @@ def test_drawing_changes_nothing_global(tmp_path: Path) -> None:
     settings = dict(matplotlib.rcParams)
     written(convergence_figure(history([0.5], [0.4], [0.1], [0.3], 0.4)), tmp_path)
     assert dict(matplotlib.rcParams) == settings
-    script = "import sys, fastmimic.report.inspection as _; sys.exit('matplotlib.pyplot' in sys.modules)"
+    script = "import sys, fastmimic.report.figures as _; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
 
 

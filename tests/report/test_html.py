@@ -20,9 +20,9 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import write_json
 from fastmimic.base.text import csv_text
 from fastmimic.cli import main
-from fastmimic.commands.pictures import recorded
 from fastmimic.episode.metrics import TRACKED
-from fastmimic.experiments.tables import COLUMNS
+from fastmimic.experiments.measurement import COLUMNS
+from fastmimic.viewer.replay import recorded
 
 pytest.importorskip("plotly", reason="Plotly is not installed: pip install 'fastmimic[report]'")
 
@@ -32,7 +32,7 @@ from fastmimic.report.html import make_report
 from fastmimic.report.html_comparison import read_rows
 from fastmimic.report.html_episodes import motor_torque
 from fastmimic.report.html_page import markdown
-from fastmimic.report.html_run_page import convergence, parameters
+from fastmimic.report.html_run import convergence, parameters
 from searches import QUICK_COMMAND
 
 SECTIONS = {"figures", "optimisation", "tracking", "terms", "limits", "run"}

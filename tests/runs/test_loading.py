@@ -97,9 +97,10 @@ class TestFolders:
         assert find_motion("other").robot == "mine.xml"
 
     def test_damaged_settings_are_one_line(self) -> None:
-        Path("mine/config.json").write_text("[]")
-        with pytest.raises(MotionError, match=r"mine/config.json: not the settings of a run"):
-            find_motion("mine").run_arguments()
+        for content, said in (("[]", "does not hold a JSON object"), ('{"arguments": 3}', "not the settings of a run")):
+            Path("mine/config.json").write_text(content)
+            with pytest.raises(MotionError, match=f"mine/config.json: {said}"):
+                find_motion("mine").run_arguments()
 
     def test_a_robot_motion_is_read_once(self, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
         found = find_motion("mine")

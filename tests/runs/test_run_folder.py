@@ -1,6 +1,8 @@
 """The folder of a run: its name, its JSON, and that a run that fails leaves it as it was."""
 
 import json
+import subprocess
+import sys
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +28,32 @@ def new_run(path: Path) -> AbstractContextManager[RunFolder]:
 def test_json_has_null_for_what_it_cannot_say(tmp_path: Path) -> None:
     write_json(tmp_path / "a.json", {"a": float("nan"), "b": [1.5, float("inf")], "c": {"d": (True, None)}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": None, "b": [1.5, None], "c": {"d": [True, None]}}
+
+
+HELD = """
+import sys
+from pathlib import Path
+from fastmimic.runs.work_folder import open_run
+with open_run(Path(sys.argv[1]), {"arguments": {}}, {}, resume=False, overwrite=False):
+    print("in", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_two_at_once_do_not_work_in_one_folder(tmp_path: Path) -> None:
+    path, pipe = tmp_path / "run", subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", HELD, str(path)], stdin=pipe, stdout=pipe, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "in\n"
+        before = sorted(path.iterdir())
+        for options in ({"resume": False, "overwrite": True}, {"resume": False, "overwrite": False}):
+            with pytest.raises(OutputError, match="another process works in it"), open_run(path, {}, {}, **options):
+                pass
+        assert sorted(path.iterdir()) == before
+        other.kill()
+    assert sorted(path.iterdir()) == before, "a lock is no file that a killed process leaves behind"
+    with open_run(path, CONFIG, {}, resume=False, overwrite=True) as folder:
+        assert folder.path == path
 
 
 def test_the_first_name_that_is_not_taken(tmp_path: Path) -> None:

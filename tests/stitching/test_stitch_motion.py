@@ -15,8 +15,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.stitching.join import default_cycles, stitch_motions
-from fastmimic.stitching.layout import Layout
 from fastmimic.stitching.switch import MAX_ACCELERATION
+from fastmimic.stitching.transition import Layout
 
 
 def named(motion: Motion, name: str) -> Motion:

@@ -16,8 +16,7 @@ from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, parse_terrain
 from fastmimic.viewer.scene import linear
 from fastmimic.viewer.take import Take, contact_places, motion_take, rollout_take, smoothed_path
-from fastmimic.viewer.viewer import Viewer
-from fastmimic.viewer.web import default_camera
+from fastmimic.viewer.viewer import Viewer, default_camera
 
 if TYPE_CHECKING:
     Open = Callable[..., Viewer]

@@ -13,6 +13,7 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import find_motion
 from fastmimic.viewer.take import Take
-from fastmimic.viewer.web import HOST, free_port
+from fastmimic.viewer.viewer import HOST, free_port
 
 
 @pytest.fixture
@@ -59,7 +60,7 @@ def test_a_taken_port_is_passed_over(taken: int) -> None:
         (["trot", "--episodes", "0"], "episodes must be at least 1"),
         (["trot", "--clip", "trott"], "did you mean 'trot'"),
         (["."], "a folder without motion.npz"),
-        (["damaged"], "config.json: not the settings of a run"),
+        (["damaged"], "config.json: does not hold a JSON object"),
         (["nowhere.npz"], "nowhere.npz"),
     ],
 )
@@ -115,7 +116,7 @@ def test_the_command_serves_on_loopback_and_ends_at_ctrl_c(taken: int) -> None:
         line = process.stdout.readline()
         url = next(word for word in line.split() if word.startswith("http://"))
         assert url.startswith(f"http://{HOST}:")
-        assert int(url.rpartition(":")[2]) != taken
+        assert urlsplit(url).port != taken
         with urllib.request.urlopen(url, timeout=PATIENCE_S) as page:
             assert b"<html" in page.read().lower()
         process.send_signal(signal.SIGINT)
@@ -125,7 +126,7 @@ def test_the_command_serves_on_loopback_and_ends_at_ctrl_c(taken: int) -> None:
         process.communicate()
     assert process.returncode == 0
     assert out == ""
-    assert err.splitlines() == [f"port {taken} is taken; listening on {url.rpartition(':')[2]} instead", "closed"]
+    assert err.splitlines() == [f"port {taken} is taken; listening on {urlsplit(url).port} instead", "closed"]
 
 
 def test_a_run_is_shown_before_and_after_as_it_was_made(

@@ -6,7 +6,8 @@
         min_switch_time: float = parameter(0.1, unit="s", about="least time between two switches of a leg")
 
 The metadata give the checks (`check`), the kernels' records (`record_fields`, `pack`), values read from files and the
-command line (`changed`), the class's docstring (`documented`) and tables (`describe`).
+command line (`changed`), the class's docstring (`documented`) and tables (`describe`). Those of a long class may stand
+in its room's `parameters.json` (`tabulated`).
 """
 
 import dataclasses
@@ -14,11 +15,13 @@ import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from fastmimic.base.errors import ConfigError, did_you_mean
+from fastmimic.base.files import packaged
 
 _KEY: Final = "parameter"
 _Kind = TypeVar("_Kind")
@@ -153,7 +156,7 @@ def _like(present: Any, value: Any, where: str) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool | np.bool_) and not isinstance(present, bool):
         if isinstance(present, float):
             return float(value)
-        if isinstance(present, int) and float(value).is_integer():
+        if isinstance(present, int) and abs(value) < 2**63 and float(value).is_integer():
             return int(value)
     if type(value) is not type(present):
         raise ConfigError(f"{where} must be of the kind of {present!r}, not {value!r}")
@@ -178,3 +181,14 @@ def documented(kind: type[_Kind]) -> type[_Kind]:
         lines.append(textwrap.fill(text, 116, initial_indent=" " * 8, subsequent_indent=" " * 12))
     kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:\n" + "\n".join(lines) + "\n    "
     return kind
+
+
+def tabulated(kind: type[_Kind]) -> type[_Kind]:
+    """A class decorator: `documented`, with the fields' `ParameterInfo` from `parameters.json` in the class's room, by
+    the names of class and field; as with `parameter`, no number may be negative by default."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    room = kind.__module__.rpartition(".")[0]
+    for name, known in packaged(room, "parameters.json", dict[str, dict[str, ParameterInfo]])[kind.__name__].items():
+        info = known if known.above is None else dataclasses.replace(known, low=None)
+        fields[name].metadata = MappingProxyType({_KEY: info})
+    return documented(kind)

@@ -1,8 +1,10 @@
 """Files that are replaced whole or not at all."""
 
 import json
+import math
 import os
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -17,10 +19,12 @@ from numpy.typing import NDArray
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.text import plain
 
+MOST_BYTES: Final = 500_000_000  # that a file of arrays may unpack to: a bomb of some megabytes, to gigabytes
 UNREADABLE: Final = (
     *(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error),
     RuntimeError,  # zipfile: encrypted, or compressed in a way that it does not know
     TypeError,  # a lone .npy
+    *(SyntaxError, tokenize.TokenError, OverflowError),  # NumPy: a header that is no Python, or no size
 )
 """Errors of NumPy and zipfile for a damaged archive."""
 
@@ -58,7 +62,7 @@ def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:
 
 def write_text(path: str | Path, text: str) -> None:
     """Replaces a file by a text; raises `OutputError`."""
-    replace_file(path, lambda file: file.write(text.encode()))
+    replace_file(path, lambda file: file.write(text.encode(errors="replace")))  # half a character is none
 
 
 def write_json(path: str | Path, value: Any) -> None:
@@ -66,10 +70,19 @@ def write_json(path: str | Path, value: Any) -> None:
     write_text(path, json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
+def from_json(text: str) -> Any:
+    """The value of a JSON text; a whole number of more than 64 bits, which no array holds, is read as a float. Raises
+    `ValueError`, also for brackets that nest too deeply."""
+    try:
+        return json.loads(text, parse_int=lambda digits: int(digits) if len(digits) < 19 else float(digits))
+    except RecursionError:
+        raise ValueError("its brackets nest too deeply") from None
+
+
 def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> dict[str, Any]:
     """The object in a JSON file; raises `error` if there is no such file, no object in it, or it cannot be read."""
     try:
-        value = json.loads(Path(path).read_text(encoding="utf-8"))
+        value = from_json(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except (OSError, ValueError) as problem:
@@ -82,12 +95,38 @@ def read_json(path: str | Path, error: type[FastMimicError] = ConfigError) -> di
 def read_arrays(path: str | Path | BinaryIO, error: type[FastMimicError], what: str) -> dict[str, NDArray[Any]]:
     """The arrays of an `.npz` without pickles; raises `error` if there is no such file, or it is no readable `what`."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open_arrays(path) as file:
             return {key: file[key] for key in file.files}
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except UNREADABLE as problem:
         raise error(f"{path}: not a readable {what} ({problem})") from None
+
+
+def open_arrays(path: str | Path | BinaryIO) -> Any:
+    """What `numpy.load` makes of an `.npz` or `.npy`, without pickles, if it announces no more than it holds, and at
+    most `MOST_BYTES`; an `.npy` is not read yet. Raises one of `UNREADABLE`."""
+    if zipfile.is_zipfile(path):
+        _check_archive(path)
+    if not isinstance(path, str | Path):
+        path.seek(0)
+    return np.load(path, mmap_mode="r", allow_pickle=False)
+
+
+def _check_archive(path: str | Path | BinaryIO) -> None:
+    form, announced = np.lib.format, 0
+    headers = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            announced += member.file_size
+            if announced > MOST_BYTES:
+                raise ValueError(f"it unpacks to more than {MOST_BYTES / 1e6:.0f} MB")
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"'{member.filename}' is compressed as NumPy does not")  # others unpack without bound
+            with archive.open(member) as data:
+                shape, _, dtype = headers[form.read_magic(data)](data)
+            if not dtype.hasobject and math.prod((max(dtype.itemsize, 1), *shape)) > member.file_size:
+                raise ValueError(f"'{member.filename}' announces an array of {str(shape)[:80]}, more than it holds")
 
 
 def check_folder(folder: str | Path) -> None:

@@ -16,6 +16,12 @@ def quat_to_matrix(q: Array, out: Array) -> None:
 
 
 @inlined
+def heading_of(q: Array) -> float:
+    """Yaw of a quaternion (w, x, y, z), rad."""
+    return np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))
+
+
+@inlined
 def turn_rows(c: float, s: float, m: Array) -> None:
     """Rz(θ) m in place, with (c, s) the cosine and sine of θ."""
     for j in range(3):

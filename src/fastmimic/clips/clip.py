@@ -44,12 +44,8 @@ DOG: Final = Skeleton(_DOG.points, tuple((a, b) for a, b, _ in _BONES), tuple(ra
 DOG_KEYPOINTS: Final = _DOG.keypoints
 """Indices of the ten among them; left and right follow from the points' positions (up × forward)."""
 
-POINT_NAMES: Final = (
-    "pelvis",
-    "neck",
-    *(f"{leg}_hip" for leg in LEGS),
-    *(f"{leg}_toe" for leg in LEGS),
-)  # `hip` is the shoulder of a front leg
+POINT_NAMES: Final = ("pelvis", "neck", *(f"{leg}_hip" for leg in LEGS), *(f"{leg}_toe" for leg in LEGS))
+"""`hip` is the shoulder of a front leg."""
 
 
 def not_in_clip(frames: tuple[int, int], n_frames: int) -> ClipError:

@@ -87,12 +87,10 @@ def fetch(
 ) -> list[Path]:
     """Downloads datasets (all if `names` is None) to the data folder, except files that are there and unchanged.
 
-    Args:
-        base_url: a server with the original's folders or the data folder's; else $FASTMIMIC_DATA_URL or the original.
-        progress: called while each file is downloaded.
-
-    Returns the files' paths, all verified. Raises `DataError`: unknown dataset, server not reached, download
-    incomplete, wrong content, or a folder that cannot be written. Existing files stay, and no partial file is left.
+    `base_url` is a server with the original's folders or the data folder's, else $FASTMIMIC_DATA_URL or the original;
+    `progress` is called while each file is downloaded. Returns the files' paths, all verified. Raises `DataError`:
+    unknown dataset, server not reached, download incomplete, wrong content, or a folder that cannot be written.
+    Existing files stay, and no partial file is left.
     """
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ClipError, ConfigError
+from fastmimic.base.rotations import turned_about_z
 from fastmimic.clips.clip import Clip
 
 
@@ -216,9 +217,7 @@ def take_of(clip: Clip, config: SegmentConfig) -> _Take:
     neck, pelvis = clip.point("neck"), clip.point("pelvis")
     ahead = (neck - pelvis)[:, :2]
     heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
-    x, y, z = np.moveaxis(clip.toes_w - clip.hips_w, -1, 0)
-    toes = np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+    toes = turned_about_z(clip.toes_w - clip.hips_w, -heading[:, None])
     return _Take(toes, heading, ((neck + pelvis) / 2)[:, :2], clip.rate_hz, config)
 
 

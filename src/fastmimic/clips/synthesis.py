@@ -15,14 +15,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, GRAVITY, LEFT
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import packaged
-from fastmimic.base.rotations import (
-    planar_exp,
-    quat_from_rotvec,
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-    rotate_planar,
-)
+from fastmimic.base.rotations import planar_exp, quat_rotate, rotate_planar, trunk_quaternion
 from fastmimic.clips.clip import Clip
 
 RATE_HZ: Final = 120.0
@@ -127,11 +120,9 @@ def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[A
     sway = spec.sway * animal * np.cos(left)
     xy = xy + rotate_planar(heading, np.stack([np.zeros_like(sway), sway], axis=-1))
     z = ROOT_HEIGHT - spec.bob * animal * np.cos(front)  # lowest in the middle of a stance
-    zero = np.zeros_like(share)
-    yaw = quat_from_yaw(heading + spec.yaw * np.sin(left))
-    pitch = quat_from_rotvec(np.stack([zero, spec.pitch * np.cos(front - 0.6), zero], axis=-1))
-    roll = quat_from_rotvec(np.stack([-spec.roll * np.cos(left - 0.4), zero, zero], axis=-1))  # standing side down
-    return np.concatenate([xy, z[:, None]], axis=1), quat_multiply(yaw, quat_multiply(pitch, roll))
+    roll, pitch = -spec.roll * np.cos(left - 0.4), spec.pitch * np.cos(front - 0.6)  # the standing side is down
+    quat = trunk_quaternion(heading + spec.yaw * np.sin(left), np.stack([roll, pitch], axis=-1))
+    return np.concatenate([xy, z[:, None]], axis=1), quat
 
 
 def _middle_of_stance(spec: GaitSpec, left: bool) -> float:

@@ -133,7 +133,7 @@ def _smooth_fit(feet: _Feet, weight: Array, rate_hz: float) -> Array:
     matrix = np.einsum("tf,tfia,tfib->tab", weight, feet.rows, feet.rows)
     right = -np.einsum("tf,tfia,tfi->ta", weight, feet.rows, feet.velocity)
     price = (_SMOOTH_S * rate_hz) ** 2 * np.array([1.0, 1.0, _SMOOTH_TURN * feet.size**2])
-    matrix[:, [0, 1, 2], [0, 1, 2]] += 2.0 * price + 1e-9
+    matrix[:, [0, 1, 2], [0, 1, 2]] += 2.0 * price + np.maximum(1e-9, 1e-12 * price)  # also at 10 kHz definite
     matrix[[0, -1]] -= np.diag(price)  # which have one neighbour
     band = np.zeros((4, len(right), 3))  # the lower diagonals, frame by frame
     for a in range(3):

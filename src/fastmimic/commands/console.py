@@ -67,7 +67,7 @@ def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterato
 def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
     """Progress of an optimisation: a bar on a terminal, otherwise a line for each tenth."""
     with slow_start() as started, _bar("optimising") as bar:
-        due = _tenths()
+        due = tenths()
 
         def progress(step: "Progress") -> None:
             started()
@@ -91,7 +91,7 @@ def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
 def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Progress of a count: yields a function of (done, all). A bar on a terminal, otherwise a line for each tenth."""
     with _bar(what) as bar:
-        due = _tenths()
+        due = tenths()
 
         def progress(done: int, total: int) -> None:
             if bar is not None:
@@ -103,15 +103,22 @@ def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 @contextmanager
-def share_progress(what: str) -> Iterator[Callable[[float, str], None] | None]:
-    """Progress of long work: yields a function of (share in [0, 1], text), or None where there is no terminal."""
+def share_progress(what: str) -> Iterator[Callable[[float, str, str], None]]:
+    """Progress of long work: yields a function of (share in [0, 1], text, line). A bar with the text on a terminal,
+    otherwise the line, unless it is empty."""
     with _bar(what, total=1.0) as bar:
-        yield None if bar is None else lambda share, text: bar(completed=share, info=text)
+
+        def progress(share: float, text: str, line: str) -> None:
+            if bar is not None:
+                bar(completed=share, info=text)
+            elif line:
+                note(line)
+
+        yield progress
 
 
-def _tenths() -> Callable[[int, int], bool]:
-    """A function of (done, all) that tells when another tenth of the work is done."""
-    shown = 0
+def tenths(shown: int = 0) -> Callable[[int, int], bool]:
+    """A function of (done, all) that tells when another tenth of the work is done than the `shown` ones."""
 
     def due(done: int, total: int) -> bool:
         nonlocal shown

@@ -6,22 +6,23 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from fastmimic.base.errors import ConfigError, DriverError, unknown
+from fastmimic.base.errors import ConfigError, DriverError, OutputError, unknown
 from fastmimic.base.files import write_json
 from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, put_table, slow_start
+from fastmimic.commands.deployment_logs import is_whole
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface
 from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, make_driver
-from fastmimic.deploy.log import LOG, RESULT, GroundTruthLog, open_deployment
+from fastmimic.deploy.log import ENDING, LOG, RESULT, ground_truth_writer, open_deployment
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 EXIT_VIOLATION: Final = 3
 """Exit status: a safety limit was exceeded and the joints were damped."""
+EXIT_CUT_OFF: Final = 4
+"""Exit status: all went as planned, but the log or the figures are not on the disk."""
 STAND: Final = "stand"
 SIMULATED: Final = ("go2",)
 
@@ -94,12 +97,12 @@ class Deploy:
     """Compute and show the commands without sending them. Without a robot, the states are simulated."""
     yes: opt.Flag = False
     """Start without confirmation."""
-    real_time: opt.Flag = False
-    """Request real-time scheduling and locked memory from the system."""
+    real_time: Annotated[Literal["auto", "on", "off"], opt.option("auto|on|off")] = "auto"
+    """Real-time scheduling and locked memory. auto: where the system permits it."""
     out: Annotated[Path | None, opt.option("FOLDER")] = None
     """Folder of the results. Default: runs/deploy-MOTION-ROBOT-DRIVER, numbered if it exists."""
-    log: Annotated[Path | None, opt.option("FILE.npz")] = None
-    """File of the log. Default: log.npz in the folder."""
+    log: Annotated[Path | None, opt.option("FILE.mcap")] = None
+    """File of the log. Default: log.mcap in the folder."""
     json: opt.JsonFlag = False
     simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes]
     clip: opt.ClipReading
@@ -113,17 +116,23 @@ class Deploy:
         policy = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
         name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
         folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)
-        log = folder / LOG if self.log is None else opt.check_writable(self.log, ".npz")
+        log = folder / LOG if self.log is None else opt.check_writable(self.log, ENDING)
         with open_deployment(folder):
-            found = self._deploy(robot, motion, limits, policy)
-            found.log.meta["driver"] = self.driver
-            found.log.save(log)
-        motion.save(folder / MOTION)
-        about = {key: value for key, value in found.log.meta.items() if key != "result"}
-        about = {"arguments": opt.recorded(self), **about, "result": found.result, "versions": versions()}
-        write_json(folder / RESULT, about)
+            found = self._deploy(robot, motion, limits, policy, log)
+        written = self._write(found, motion, folder)
         self._report(found, log)
-        return self._status(found)
+        return self._status(found, written)
+
+    def _write(self, found: "Deployment", motion: Motion, folder: Path) -> bool:
+        """Writes motion and figures; returns whether they and the whole log are on the disk, and says so if not."""
+        whole = is_whole(found.result["log_ends"])
+        try:
+            motion.save(folder / MOTION)
+            write_json(folder / RESULT, found.log.meta)
+        except OutputError as error:
+            note(f"fastmimic: {error}")
+            return False
+        return whole
 
     def _check(self) -> None:
         """Raises `ConfigError` for options that do not fit the driver, before any long work."""
@@ -161,10 +170,10 @@ class Deploy:
             return robot, standing(robot)
         return robot, source.load(robot, **self.clip.overrides())
 
-    def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any) -> "Deployment":
+    def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any, log: Path) -> "Deployment":
         from fastmimic.deploy.deployment import DeployOptions, deploy
 
-        clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock(self.real_time)
+        clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock()
         switch, ask, dry = StopSwitch(), None, self.dry_run
         if self.driver == SIM:
             driver = self._simulated(robot, clock)
@@ -176,18 +185,17 @@ class Deploy:
                 driver, dry = self._simulated(robot, clock), False
             elif not dry and not self.yes:
                 ask = switch
-        options = DeployOptions(
-            method=self.method,
-            config=self.config,
+        options = opt.apply(
+            DeployOptions,
+            self,
             policy=policy,
             solve_rate_hz=self.solve_rate,
             estimator=EstimatorConfig(foot_force=self.foot_force),
-            cycles=self.cycles,
             duration_s=self.duration,
-            endless=self.endless,
             limits=limits,
             dry_run=dry,
-            real_time=self.real_time,
+            log=log,
+            about={"driver": self.driver, "arguments": opt.recorded(self), "versions": versions()},
         )
         with slow_start() as started:
             ready = None if ask is None else lambda: _agreed(ask)
@@ -207,7 +215,7 @@ class Deploy:
         return SimDriver(robot, clock, conditions=conditions, faults=faults)
 
     def _report(self, found: "Deployment", log: Path) -> None:
-        from fastmimic.deploy.deployment import command_table, summary_rows
+        from fastmimic.deploy.account import command_table, summary_rows
 
         if self.dry_run:
             for line in command_table(found.log):
@@ -220,13 +228,15 @@ class Deploy:
         put_table(summary_rows(found.result))
         put(f"log in {log}")
 
-    def _status(self, found: "Deployment") -> int:
+    def _status(self, found: "Deployment", written: bool) -> int:
         from fastmimic.deploy.safety import StopReason
+        from fastmimic.deploy.state_machine import DeploymentPhase
 
         outcome = found.outcome
         if outcome.stopped_by.planned:
-            return 0
-        note(f"fastmimic: {outcome.text}; the robot was damped while {outcome.phase.text}")
+            return 0 if written else EXIT_CUT_OFF
+        sat = outcome.phase is DeploymentPhase.DONE
+        note(f"fastmimic: {outcome.text}; the robot {'sat down' if sat else f'was damped while {outcome.phase.text}'}")
         return EXIT_INTERRUPTED if outcome.stopped_by in (StopReason.KEY, StopReason.SIGNAL) else EXIT_VIOLATION
 
 
@@ -309,7 +319,7 @@ class RobotSim:
     """Time without a command after which the motors damp."""
     duration: opt.Seconds = None
     """Time until it ends. Default: it runs until Ctrl-C."""
-    log: Annotated[Path | None, opt.option("FILE.npz")] = None
+    log: Annotated[Path | None, opt.option("FILE.mcap")] = None
     """File for the ground truth of what the robot did."""
     json: opt.JsonFlag = False
     fault: Annotated[FaultOptions, OmitArgPrefixes]
@@ -320,24 +330,23 @@ class RobotSim:
         settings = self._settings()
         opt.check_duration(self.duration)
         duration = math.inf if self.duration is None else self.duration
-        log = None
-        if self.log is not None:
-            opt.check_writable(self.log, ".npz")
-            log = GroundTruthLog()
-        with slow_start():
-            server = SimServer(load_robot(self.robot), settings, log)
-        with closing(server), _until_interrupted() as stop:
-            note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
-            server.run(stop, duration, _status)
+        writer = None if self.log is None else ground_truth_writer(opt.check_writable(self.log, ENDING))
+        with writer or nullcontext():
+            with slow_start():
+                server = SimServer(load_robot(self.robot), settings, None if writer is None else writer.recorder)
+            with closing(server), _until_interrupted() as stop:
+                note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
+                server.run(stop, duration, _status)
         summary = {"robot": self.robot, **server.summary()}
         if self.json:
             put(json.dumps(summary, indent=1))
         else:
             put(*(f"{name.replace('_', ' ')}: {value}" for name, value in summary.items()))
-        if log is not None and self.log is not None:
-            log.save(self.log)
-            note(f"ground truth in {self.log}")
-        return 0
+        if writer is None:
+            return 0
+        writer.end({})
+        note(f"ground truth in {self.log}")
+        return 0 if is_whole(writer.ends) else EXIT_CUT_OFF
 
     def _settings(self) -> Any:
         """The checked settings of the server."""
@@ -352,16 +361,13 @@ class RobotSim:
         if self.sensors not in ("real", "ideal"):
             raise ConfigError(f"--sensors takes real or ideal, found '{self.sensors}'")
         fault = self.fault
-        states = {name: getattr(fault, name) for name in ("loss", "corrupt", "duplicate", "reorder")}
         commands = {name: getattr(fault, f"command_{name}") for name in ("loss", "corrupt")}
-        return SimSettings(
-            domain=self.domain,
-            interface=self.interface,
-            start=self.start,
+        return opt.apply(
+            SimSettings,
+            self,
             sensors=ideal_sensors() if self.sensors == "ideal" else None,
-            seed=self.seed,
             disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
-            states=LinkFaults(latency_s=fault.latency_ms / 1e3, seed=self.seed, **states),
+            states=opt.apply(LinkFaults, fault, latency_s=fault.latency_ms / 1e3, seed=self.seed),
             commands=LinkFaults(latency_s=fault.command_latency_ms / 1e3, seed=self.seed, **commands),
             watchdog_s=self.watchdog_ms / 1e3,
             dead_after_s=math.inf if fault.dead_after is None else fault.dead_after,

@@ -1,6 +1,5 @@
 """`fastmimic evaluate` scores a motion under the controller; `fastmimic identify` learns from the log of a run."""
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,13 +11,13 @@ from fastmimic.base.errors import ConfigError, LogError
 from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, put_json, put_table, slow_start
+from fastmimic.commands.deployment_logs import check_truth, open_log
 from fastmimic.commands.show import figure_rows, provenance, yes_no
 from fastmimic.control.config import ControllerConfig, controller_config
-from fastmimic.deploy.log import DeploymentLog, is_deployment_log, load_ground_truth
+from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.robot import ROBOT_CHOICES, ROBOT_NAMES, load_robot
-from fastmimic.simulation.conditions import parse_disturbance
+from fastmimic.robot import ROBOT_CHOICES, load_robot
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
@@ -33,8 +32,8 @@ class Evaluate:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the log of a deployment,
-    scored without simulation."""
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
+    deployment, scored without simulation."""
     episodes: int = 1
     """Number of episodes."""
     duration: opt.Seconds = None
@@ -63,20 +62,12 @@ class Evaluate:
         opt.check_duration(self.duration)
         if is_deployment_log(self.motion):
             return self._deployed()
-        if self.truth is not None:
-            raise ConfigError(f"--truth is for the log of a deployment, which {self.motion} is not")
+        check_truth(self.motion, self.truth)
         from fastmimic.imitation.evaluate import evaluate
         from fastmimic.simulation.conditions import Conditions
 
-        conditions = Conditions(
-            simulator=self.simulator,
-            observe=self.observe,
-            seed=self.seed,
-            disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
-            terrain=opt.ground_of(self.terrain),
-            ideal=self.ideal,
-            estimator=EstimatorConfig(foot_force=self.foot_force),
-        )
+        estimator = EstimatorConfig(foot_force=self.foot_force)
+        conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb), estimator=estimator)
         if self.foot_force != "auto" and self.observe != "sensors":
             raise ConfigError("--foot-force is for a controller that sees sensors; add --observe sensors")
         if self.log is not None:
@@ -86,14 +77,12 @@ class Evaluate:
         robot, motion = self.clip.load(self.motion, self.robot)
         controller = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
         with slow_start():
-            evaluation = evaluate(
-                motion,
-                robot,
-                episodes=self.episodes,
+            evaluation = opt.apply(
+                evaluate,
+                self,
+                source=motion,
+                robot=robot,
                 duration_s=self.duration,
-                seed=self.seed,
-                method=self.method,
-                config=self.config,
                 controller=controller,
                 conditions=conditions,
                 log=self.log is not None,
@@ -119,20 +108,9 @@ class Evaluate:
 
     def _deployed(self) -> int:
         """Scores a deployment from its log."""
-        from fastmimic.deploy.deployment import evaluation_of, true_states
+        from fastmimic.deploy.deployment import evaluation_of
 
-        taken = {"motion", "robot", "truth", "json", "clip"}
-        names = [field.name for field in dataclasses.fields(self) if field.name not in taken]
-        for name in (*opt.given(self, *names), *opt.given(self.clip)):
-            raise ConfigError(f"{self.motion} is the log of a deployment, which is not simulated: drop {name}")
-        log = DeploymentLog.load(self.motion)
-        if self.truth is not None:
-            found = load_ground_truth(self.truth)
-            log = dataclasses.replace(log, truth=true_states(log, found["observation"], found["tick"]))
-        name = str(log.meta.get("robot", opt.DEFAULT_ROBOT))
-        if self.robot is None and name not in ROBOT_NAMES:
-            raise ConfigError(f"{self.motion}: robot '{name}' is not built in; give its MJCF by --robot FILE.xml")
-        robot = load_robot(self.robot or name)
+        robot, log = open_log(self, self.clip, "json", "clip")
         with slow_start():
             figures = evaluation_of(robot, log, ControllerConfig.from_dict(log.meta["config"])).as_dict()
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
@@ -180,12 +158,12 @@ class Identify:
     readings, commands and estimates. The result is a controller configuration for --config FILE.json of other verbs.
     """
 
-    log: Annotated[Positional[Path], opt.option("LOG.npz")]
-    """Log of a run of a few seconds."""
+    log: Annotated[Positional[Path], opt.option("LOG")]
+    """Log of a run of a few seconds (.npz), or the folder or log of a deployment."""
     robot: Annotated[
         str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
     ] = None
-    unloaded: Annotated[Path | None, opt.option("LOG.npz")] = None
+    unloaded: Annotated[Path | None, opt.option("LOG")] = None
     """Log of the same robot without payload; it cancels the gain errors of the sensors."""
     config: opt.ConfigName = "default"
     out: Annotated[Path | None, opt.option("FILE.json")] = None

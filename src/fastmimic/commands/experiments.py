@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional, Suppress
 
 from fastmimic.base.errors import ConfigError, FastMimicError
+from fastmimic.base.files import check_folder, write_json
 from fastmimic.base.machine import available_cores, versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
@@ -22,7 +23,7 @@ from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES, Robot
-from fastmimic.runs.work_folder import MOTIONS, TABLE, WorkFolder
+from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 from fastmimic.simulation.terrain import TERRAINS
@@ -73,14 +74,15 @@ class Compare:
         opt.check_duration(self.duration)
         plan = self._plan()
         from fastmimic.experiments.compare import prepare
-        from fastmimic.experiments.comparison_run import ABLATION_TABLE, open_comparison
-        from fastmimic.report.comparison_figures import write_comparison
+        from fastmimic.experiments.comparison_run import ABLATION_TABLE, ComparisonFolder
+        from fastmimic.report.experiment_figures import write_comparison
 
         check_workers(self.workers)
         workers = self.workers or available_cores()
         total = len(plan.runs)
         resume, overwrite = self.folder.resume, self.folder.overwrite
-        with open_comparison(self.out, plan.settings.as_dict(), resume=resume, overwrite=overwrite) as folder:
+        folder = ComparisonFolder.at(self.out)
+        with folder.opened(plan.settings.as_dict(), resume=resume, overwrite=overwrite):
             note(f"{total} runs in {self.out}, {workers} at a time")
             prepared = prepare(plan, self.out, keep=not overwrite, prepared=lambda name: note(f"{name}: retargeted"))
             folder.begin(_environment(plan, workers, prepared.kept), overwrite=overwrite)
@@ -104,15 +106,8 @@ class Compare:
         if self.builtin and self.motions is not None:
             raise ConfigError("--builtin selects the four built-in motions; give it or --motions, not both")
         robot = self.robot if self.robot in ROBOT_NAMES else os.path.abspath(self.robot)
-        settings = ComparisonSettings(
-            robot=robot if os.path.exists(robot) else self.robot,
-            config=self.config,
-            duration_s=self.duration,
-            iterations=self.search.iterations,
-            population=self.search.population,
-            evaluation_s=self.evaluation_s,
-            choice=self.choice,
-        )
+        robot = robot if os.path.exists(robot) else self.robot
+        settings = opt.apply(ComparisonSettings, self, self.search, robot=robot, duration_s=self.duration)
         default = BUILT_IN_MOTIONS if self.builtin else PAPER_MOTIONS
         motions = self.motions if self.motions is not None else default
         methods = self.methods if self.methods is not None else (*PAPER_METHODS, *([RL] if self.policy else []))
@@ -122,7 +117,7 @@ class Compare:
 
 def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     """Writes the results so far of an interrupted or failed comparison, and prints how to continue."""
-    from fastmimic.report.comparison_figures import write_comparison
+    from fastmimic.report.experiment_figures import write_comparison
 
     try:
         if rows := prepared.finished():
@@ -169,17 +164,17 @@ def _processor() -> str:
 @contextmanager
 def _progress(total: int) -> "Iterator[ReportProgress]":
     """A bar on a terminal, otherwise a line for each finished run."""
-    with share_progress("comparing") as bar:
+    with share_progress("comparing") as tell:
 
         def report(effort: "RunProgress", row: "Row | None") -> None:
             finished = total - len(effort.tasks) + effort.finished
             left = "" if effort.remaining_s is None else f", {timedelta(seconds=round(effort.remaining_s))} left"
-            if bar is not None:
-                bar(effort.share, f"{finished}/{total} runs{left}")
-            elif row is not None:
+            line = ""
+            if row is not None:
                 run = row["method"] + (f" ({row['variant']})" if row["variant"] else "") + f" seed {row['seed']}"
                 fell = ", fell" if row["fell"] else ""
-                note(f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}")
+                line = f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}"
+            tell(effort.share, f"{finished}/{total} runs{left}", line)
 
         yield report
 
@@ -213,11 +208,17 @@ class ExperimentOptions:
         return controller, hashlib.sha256(self.policy.read_bytes()).hexdigest()
 
     def opened(self, experiment: str, parts: str, written: tuple[str, ...], about: dict[str, Any]) -> WorkFolder:
-        """The folder of the results; see `open_results`."""
-        from fastmimic.experiments.experiment import open_results
-
-        resume, overwrite = self.folder.resume, self.folder.overwrite
-        return open_results(self.out, experiment, parts, written, about, resume=resume, overwrite=overwrite)
+        """The folder of the results, checked before long work, with its `environment.json`. `parts` is the subfolder of
+        finished parts, `written` are the files made from them, `about` the settings that must equal the earlier ones to
+        resume. Raises `ConfigError` and `OutputError` as `WorkFolder.check`."""
+        files = (*written, f"{parts}/*.json", f"{MOTIONS}/*.npz")
+        folder = WorkFolder(self.out, "an experiment", ENVIRONMENT, "settings", files, experiment)
+        folder.check(about, resume=self.folder.resume, overwrite=self.folder.overwrite)
+        check_folder(self.out)
+        if self.folder.overwrite:
+            folder.clear()
+        write_json(self.out / ENVIRONMENT, {"experiment": experiment, "settings": about, "versions": versions()})
+        return folder
 
     def subject(
         self, method: str, motion: Motion, robot: Robot, policy: "tuple[MakeController, str] | None"
@@ -281,18 +282,7 @@ class Stress(ExperimentOptions):
         check_methods(self.methods, self.policy is not None)
         names = disturbances_of(self.disturbances, self.simulator, self.observe)
         robot, motion = self.clip.load(self.motion, self.robot)
-        settings = StressSettings(
-            robot=robot.name,
-            simulator=self.simulator,
-            observe=self.observe,
-            ideal=self.ideal,
-            episodes=self.episodes,
-            duration_s=self.duration,
-            seed=self.seed,
-            config=self.config,
-            iterations=self.search.iterations,
-            population=self.search.population,
-        )
+        settings = opt.apply(StressSettings, self, self.search, robot=robot.name, duration_s=self.duration)
         policy = self.checked_policy(robot, motion)
         check_length(motion, names, settings)
         SIMULATORS[self.simulator].check(robot)
@@ -311,15 +301,13 @@ class Stress(ExperimentOptions):
         from fastmimic.experiments.experiment import load_part, part_file, save_part
         from fastmimic.experiments.stress import SWEEPS, sweep
 
-        with share_progress("sweeps") as bar, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
+        with share_progress("sweeps") as tell, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
             for k, name in enumerate(names, done + 1):
                 path = part_file(self.out / SWEEPS, subject.method.name, name)
                 if load_part(path, subject.digest) is None:
                     save_part(path, sweep(subject, name, robot, settings), subject.digest)
-                if bar is not None:
-                    bar(k / total, f"{subject.method.name}, {name}")
-                else:
-                    note(f"{k}/{total} {subject.method.name}, {name}")
+                text = f"{subject.method.name}, {name}"
+                tell(k / total, text, f"{k}/{total} {text}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,10 +344,7 @@ class Transfer(ExperimentOptions):
         if self.policy is not None and len(self.motions) > 1:
             raise ConfigError("a policy is for one motion; run the motions one after another")
         check_methods(self.methods, self.policy is not None)
-        search = self.search
-        settings = TransferSettings(
-            self.trials, self.duration, self.seed, self.config, search.iterations, search.population, self.identify
-        )
+        settings = opt.apply(TransferSettings, self, self.search, duration_s=self.duration)
         loaded = [self.clip.load(source, self.robot) for source in self.motions]
         names = [motion.name for _, motion in loaded]
         if len(set(names)) < len(names):

@@ -139,22 +139,18 @@ class Imitate(SearchRun):
         from fastmimic.imitation.imitate import imitate
 
         with optimisation_progress() as progress:
-            return imitate(
-                motion,
-                robot,
+            return opt.apply(
+                imitate,
+                self,
+                self.search,
+                self.folder,
+                source=motion,
+                robot=robot,
                 method=method,
-                config=self.config,
                 duration_s=self.duration,
-                iterations=self.search.iterations,
-                population=self.search.population,
-                seed=self.seed,
-                workers=self.workers,
                 checkpoint=folder.checkpoint,
-                resume=self.folder.resume,
                 progress=progress,
                 randomize=self.randomization.chosen(),
-                choice=self.choice,
-                warm_start=self.warm_start,
             )
 
 
@@ -211,23 +207,17 @@ class Stitch(SearchRun):
                 note(what)
                 bar = stack.enter_context(optimisation_progress())
 
-            return stitch(
-                sources,
-                robot,
+            return opt.apply(
+                stitch,
+                self,
+                self.folder,
+                sources=sources,
+                robot=robot,
                 cycles=self.cycles[0] if len(self.cycles) == 1 else self.cycles or None,
-                method=self.method,
-                config=self.config,
-                iterations=self.iterations,
-                population=self.population,
-                part_iterations=self.part_iterations,
-                seed=self.seed,
-                workers=self.workers,
                 folder=folder.path,
-                resume=self.folder.resume,
                 progress=lambda step: bar(step),
                 stage=stage,
                 randomize=self.randomization.chosen(),
-                choice=self.choice,
             )
 
 

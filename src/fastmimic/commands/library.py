@@ -11,17 +11,9 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, subco
 
 from fastmimic.base.errors import ConfigError, FastMimicError, unknown
 from fastmimic.base.files import check_folder
+from fastmimic.commands import console
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import (
-    EXIT_SOME_FAILED,
-    count_progress,
-    note,
-    put,
-    put_json,
-    put_table,
-    share_progress,
-    slow_start,
-)
+from fastmimic.commands.console import EXIT_SOME_FAILED, note, put, put_json, put_table
 from fastmimic.commands.motion_files import ExportFormat
 from fastmimic.executors import make_executor
 from fastmimic.optimize.parameters import FinalChoice
@@ -118,18 +110,9 @@ class Build:
         sources = []
         for place in self.sources:
             sources += find_sources(place, exclude=self.exclude, licence=self.licence, credit=self.credit)
-        recipe = BuildSettings(
-            method=self.method,
-            config=self.config,
-            duration_s=self.duration,
-            iterations=self.search.iterations,
-            population=self.search.population,
-            evaluation_s=self.trial,
-            choice=self.choice,
-            perturbed=self.perturbed,
-            others=self.others,
-            second_simulator=not self.no_second_simulator and _second_simulator(self.robots),
-        )
+        second = not self.no_second_simulator and _second_simulator(self.robots)
+        lengths = {"duration_s": self.duration, "evaluation_s": self.trial}
+        recipe = opt.apply(BuildSettings, self, self.search, second_simulator=second, **lengths)
         warm = None if self.warm_start is None else MotionDataset.open(self.warm_start)
         folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
         return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
@@ -258,7 +241,7 @@ class LibraryExport(_Choice):
         if not chosen:
             raise ConfigError(f"{self.library}: no motion of it fits what was asked for; see 'fastmimic library list'")
         check_folder(self.to)
-        with count_progress("exporting") as progress:
+        with console.count_progress("exporting") as progress:
             index = export_library(library, chosen, self.to, self.format, fps=self.fps, progress=progress)
         put(f"{len(chosen)} motions in {self.to}, listed in {index.name}")
         for licence in sorted({row["licence"] or "not stated" for row in chosen}):
@@ -287,7 +270,7 @@ class Verify:
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
         library = MotionDataset.open(self.library)
-        with count_progress("reading") as progress:
+        with console.count_progress("reading") as progress:
             health, removed = mend(library, progress) if self.mend else (check(library, progress), 0)
         put(f"{health.records} records, {len(health.damaged)} damaged, {len(health.foreign)} orphaned files")
         put(*(f"damaged: {line}" for line in health.damaged))
@@ -295,7 +278,7 @@ class Verify:
             put("the index is out of date")
         differing: list[str] = []
         if self.rerun:
-            with slow_start(), count_progress("running") as progress:
+            with console.slow_start(), console.count_progress("running") as progress:
                 differing, done = rerun(library, self.rerun, progress)
             put(f"{done} motions run again, {len(differing)} with a different reward")
             put(*(f"differs: {line}" for line in differing))
@@ -338,7 +321,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     from fastmimic.dataset.index import FAILED, grade
 
     started_building = False
-    with slow_start() as started, share_progress("building") as bar:
+    with console.slow_start() as started, console.share_progress("building") as tell:
 
         def report(step: "BuildStep") -> None:
             nonlocal started_building
@@ -354,8 +337,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
                 r = step.record
                 what = f"reward {r['reward_mean']:.3f}, {grade(r)[0]}"
                 note(f"{step.done}/{step.total} {r['name']} on {r['robot']} seed {r['seed']}: {what}")
-            if bar is not None:
-                bar(step.share, f"{step.what} {step.done}/{step.total}")
+            tell(step.share, f"{step.what} {step.done}/{step.total}", "")
 
         try:
             yield report

@@ -143,7 +143,7 @@ class Inspect:
         put(*lines, *describe_motion(motion, robot))
         if figure is not None:
             from fastmimic.render.figure_style import save
-            from fastmimic.report.inspection import motion_figure
+            from fastmimic.report.figures import motion_figure
 
             save(motion_figure(motion, robot), figure)
             put(f"figure in {figure}")
@@ -292,7 +292,7 @@ class SegmentTake:
                 )
         if figure is not None:
             from fastmimic.render.figure_style import save
-            from fastmimic.report.inspection import segments_figure
+            from fastmimic.report.figures import segments_figure
 
             first, clip = max(parts, key=lambda part: part[1].n_frames)
             own = [s.later(-first) for s in segments if first <= s.start < first + clip.n_frames]

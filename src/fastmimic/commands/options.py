@@ -1,12 +1,13 @@
 """Options that several verbs share: groups, each a box in `--help`, and single options as annotated types."""
 
 import dataclasses
+import inspect
 import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
@@ -21,7 +22,6 @@ from fastmimic.optimize.randomization import Randomization
 from fastmimic.render.encoding import QUALITIES
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
-from fastmimic.simulation.conditions import TerrainLevel, parse_terrain
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SIMULATORS
 from fastmimic.simulation.terrain import TERRAINS
@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # loads the compiler
 DEFAULT_ROBOT: Final = "a1"
 MAX_DURATION_S: Final = 3600.0
 RUNS: Final = Path("runs")
+Result = TypeVar("Result")
 
 
 def option(metavar: str | None = None, text: str | Callable[[], str] | None = None) -> Any:
@@ -246,12 +247,9 @@ class RandomizeOptions:
         number = " ".join(self.randomize)
         if not re.fullmatch(r"\d*", number):
             raise ConfigError(f"--randomize takes one number of robots, or none for 4; found '{number}'")
-        options: dict[str, Any] = {"robots": int(number)} if number else {}
-        if self.randomize_over:
-            options["over"] = self.randomize_over
-        if self.criterion is not None:
-            options["criterion"] = self.criterion
-        return Randomization(**options)
+        options: dict[str, Any] = {"robots": int(number) if number else None, "criterion": self.criterion}
+        options["over"] = self.randomize_over or None
+        return Randomization(**{name: value for name, value in options.items() if value is not None})
 
 
 FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
@@ -279,6 +277,13 @@ def recorded(command: Any) -> dict[str, Any]:
         else:
             found[field.name] = plain(value)
     return found
+
+
+def apply(function: Callable[..., Result], *groups: Any, **others: Any) -> Result:
+    """Calls a function, or makes settings, with what groups have under its parameters' names, and with `others`."""
+    names = inspect.signature(function).parameters
+    found = {name: value for group in groups for name, value in vars(group).items() if name in names}
+    return function(**found | others)
 
 
 def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
@@ -326,11 +331,6 @@ def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeControll
     except PolicyError as error:
         raise PolicyError(f"{path}: {error}") from None
     return controlled_by(policy)
-
-
-def ground_of(terrain: str | None) -> TerrainLevel | None:
-    """The terrain of an option; raises `ConfigError`."""
-    return None if terrain is None else parse_terrain(terrain)
 
 
 def check_duration(seconds: float | None) -> None:

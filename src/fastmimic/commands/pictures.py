@@ -18,7 +18,9 @@ from tyro.conf import Positional
 from fastmimic.base.errors import ConfigError, MotionError, OutputError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import count_progress, note, put, slow_start
+from fastmimic.commands.deployment_logs import check_truth, open_log
 from fastmimic.control.config import controller_config
+from fastmimic.deploy.log import is_deployment_log
 from fastmimic.episode.plan import default_duration
 from fastmimic.imitation.methods import METHODS, controller_for, method_named
 from fastmimic.motion.motion import Motion
@@ -26,12 +28,10 @@ from fastmimic.render.encoding import ENDINGS, QUALITIES
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.viewer.web import free_port, require_viser
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.play.page import PlayPage
     from fastmimic.render.tracks import Animal, Track
-    from fastmimic.report.html_run import RerunEpisodes
     from fastmimic.viewer.take import Take
     from fastmimic.viewer.viewer import Viewer
 
@@ -150,7 +150,7 @@ class Render:
 
         options: dict[str, Any] = {"duration_s": seconds, "method": method, "config": self.config, "log": True}
         with slow_start():
-            found = evaluate(motion, robot, conditions=Conditions(terrain=opt.ground_of(self.terrain)), **options)
+            found = evaluate(motion, robot, conditions=opt.apply(Conditions, self), **options)
         caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
         track = rollout_track(
             found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
@@ -187,6 +187,7 @@ class WriteReport:
         if self.out is not None and len(self.runs) > 1:
             raise ConfigError(f"--out names one file, but {len(self.runs)} runs were given; drop it")
         from fastmimic.report.html import REPORT, kind_of, make_report
+        from fastmimic.viewer.replay import recorded
 
         for path in self.runs:
             kind_of(path)  # refuses before anything is written
@@ -201,32 +202,19 @@ class WriteReport:
         return 0
 
 
-def recorded(e: "RerunEpisodes") -> str:
-    """A page with a 3D replay, before and after side by side; raises `ConfigError` if viser is missing or too old."""
-    from fastmimic.viewer.take import rollout_take
-    from fastmimic.viewer.viewer import recorded_page
-
-    require_viser()
-    shown = [("robot", "", e.motion.target, e.before)]
-    if e.after is not None:
-        shown = [
-            ("before", "before: as retargeted", e.motion.target, e.before),
-            ("after", "after: optimised", e.motion, e.after),
-        ]
-    takes = [rollout_take(rollout, motion, e.robot, e.config, title) for _, title, motion, rollout in shown]
-    return recorded_page(e.robot, takes, [name for name, *_ in shown])
-
-
 @dataclass(frozen=True, kw_only=True)
 class View:
     """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
     and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side.
 
-    The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
+    The server answers this machine's browsers only, at the whole address that it prints; Ctrl-C ends it.
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION|RUN")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
+    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
+    deployment, which is replayed."""
+    truth: Annotated[Path | None, opt.option("FILE")] = None
+    """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     port: opt.Port = 8080
     kinematic: opt.Flag = False
     """Show the motion as written, without physics."""
@@ -248,15 +236,25 @@ class View:
     def run(self) -> int:
         opt.check_duration(self.duration)
         opt.check_kinematic(self, "episodes", "method", "config", "terrain")
-        from fastmimic.viewer.viewer import Viewer
+        from fastmimic.viewer.viewer import Viewer, free_port, require_viser
 
         require_viser()
         free_port(self.port)  # before anything is simulated
-        source = find_motion(self.motion)
-        command = self if source.folder is None else self._of_run(source)
-        robot, shown, heading, animal = command._prepare(source)
+        if is_deployment_log(self.motion):
+            robot, shown, heading, animal = self._deployed()
+        else:
+            check_truth(self.motion, self.truth)
+            source = find_motion(self.motion)
+            command = self if source.folder is None else self._of_run(source)
+            robot, shown, heading, animal = command._prepare(source)
         with Viewer(robot, shown, heading, self.port, animal) as viewer:
             return serve(viewer, heading, self.port)
+
+    def _deployed(self) -> "tuple[Robot, list[list[Take]], str, None]":
+        from fastmimic.viewer.replay import deployment_take
+
+        robot, log = open_log(self, self.reading, "port", "reading")
+        return robot, [[deployment_take(robot, log)]], f"{log.motion.name} on {robot.name}, deployed", None
 
     def _of_run(self, source: MotionSource) -> "View":
         """The same command with the arguments of the run where nothing was given."""
@@ -318,7 +316,7 @@ class View:
                 seed=self.seed,
                 method=method.name,
                 config=config,
-                conditions=Conditions(seed=self.seed, terrain=opt.ground_of(self.terrain)),
+                conditions=opt.apply(Conditions, self),
                 log=True,
             ).rollout
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
@@ -329,7 +327,7 @@ class Play:
     """Simulates a robot under the controller live in the browser. Switch motions, steer, change speed, yaw rate, swing
     height, friction and payload, and push the robot, by mouse, keyboard or gamepad. A robot that falls gets up again.
 
-    The server listens on this machine only (127.0.0.1); Ctrl-C ends it.
+    The server answers this machine's browsers only, at the whole address that it prints; Ctrl-C ends it.
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
@@ -343,6 +341,8 @@ class Play:
     terrain: opt.TerrainName = None
 
     def run(self) -> int:
+        from fastmimic.viewer.viewer import free_port, require_viser
+
         require_viser()
         free_port(self.port)  # before the motions are loaded
         from fastmimic.play.page import PlayPage
@@ -350,7 +350,7 @@ class Play:
         from fastmimic.reference.motion_set import MotionSet, warm_up
 
         check_method(self.method)
-        config, terrain = controller_config(self.config), Conditions(terrain=opt.ground_of(self.terrain)).ground
+        config, terrain = controller_config(self.config), opt.apply(Conditions, self).ground
         sources = [find_motion(source) for source in self.motions or DEFAULTS]
         name = opt.robot_name(self.robot, *sources)
         robot = load_robot(name)

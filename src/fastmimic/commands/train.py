@@ -15,7 +15,7 @@ from fastmimic.base.files import check_folder
 from fastmimic.base.machine import available_cores
 from fastmimic.base.text import plain
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import PLAIN_STEPS, note, put, share_progress
+from fastmimic.commands.console import note, put, share_progress, tenths
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONFIG
@@ -68,10 +68,11 @@ class Train:
         for name in ("steps", "evaluate_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
-        from fastmimic.learning.learner import check_installed, choose_device
+        from fastmimic.learning.learner import TrainingSettings, check_installed, choose_device
         from fastmimic.learning.training import CHECKPOINT, TrainingFolder, train
 
-        settings = self._settings()
+        ranges = tuple(parse_range(text) for text in self.randomize)
+        settings = opt.apply(TrainingSettings, self, randomize=ranges)
         check_installed()
         device = choose_device(self.device)
         robot, motion = self.clip.load(self.motion, self.robot)
@@ -110,18 +111,6 @@ class Train:
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
         return 0
 
-    def _settings(self) -> "TrainingSettings":
-        from fastmimic.learning.learner import TrainingSettings
-
-        return TrainingSettings(
-            seed=self.seed,
-            robots=self.robots,
-            hidden=self.hidden,
-            entropy=self.entropy,
-            randomize=tuple(parse_range(text) for text in self.randomize),
-            update_threads=self.update_threads,
-        )
-
 
 def _identity(
     robot: Robot, motion: Motion, settings: "TrainingSettings", device: str, evaluate_every: int
@@ -141,23 +130,18 @@ def _identity(
 @contextmanager
 def _progress() -> "Iterator[Callable[[Advance], None]]":
     """A bar on a terminal, otherwise a line for each tenth."""
-    shown = -1
-    with share_progress("training") as bar:
+    due = tenths(-1)
+    with share_progress("training") as tell:
 
         def report(at: "Advance") -> None:
-            nonlocal shown
-            share = at.steps / at.total
             left = (at.total - at.steps) / at.steps_per_s
             evaluated = "" if at.evaluated is None else f", evaluated {at.evaluated.reward:.3f}"
             text = (
                 f"reward/step {at.iteration.reward:.3f}{evaluated}, {at.steps_per_s:.0f} steps/s,"
                 f" {left // 3600:.0f}:{left // 60 % 60:02.0f} h left"
             )
-            if bar is not None:
-                bar(share, text)
-            elif int(share * PLAIN_STEPS) > shown:
-                shown = int(share * PLAIN_STEPS)
-                note(f"{at.steps:,}/{at.total:,} steps: {text}")
+            line = f"{at.steps:,}/{at.total:,} steps: {text}" if due(at.steps, at.total) else ""
+            tell(at.steps / at.total, text, line)
 
         yield report
 

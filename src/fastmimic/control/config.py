@@ -19,16 +19,10 @@ from numpy.typing import NDArray
 from fastmimic.base.configuration import changed, check, documented, pack, parameter, record_fields
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, unknown
-from fastmimic.base.files import read_json
+from fastmimic.base.files import packaged, read_json
 from fastmimic.base.jit import record_dtype
 from fastmimic.base.text import plain
-from fastmimic.control.config_parts import (
-    GaitConfig,
-    HorizonConfig,
-    LoadConfig,
-    StanceConfig,
-    SwingConfig,
-)
+from fastmimic.control.config_parts import GaitConfig, HorizonConfig, LoadConfig, StanceConfig, SwingConfig
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import combined, joint_ratio, length_ratio, mass_ratio
@@ -42,7 +36,7 @@ class ControllerConfig:
     """All parameters of the controller; its parts are described at their classes."""
 
     name: str = "default"
-    rate_hz: float = parameter(500.0, unit="Hz", above=0.0, key="", about="control steps a second")
+    rate_hz: float = parameter(500.0, unit="Hz", above=0.0, high=10_000.0, key="", about="control steps a second")
     joint_margin: float = parameter(
         0.01, unit="rad", about="distance from the joint limits that commanded positions keep"
     )
@@ -119,20 +113,9 @@ def default_config() -> ControllerConfig:
 
 def paper_config() -> ControllerConfig:
     """The paper's form: no feed-forward of accelerations or leg dynamics, eq. 2 and 3 as printed."""
-    return ControllerConfig(
-        name="paper",
-        stance=StanceConfig(
-            feedback="constant",
-            disturbance_time=0.0,
-            reference_acceleration=0.0,
-            leg_momentum=False,
-            friction_sides=4,
-            adaptation="paper",
-            leg_dynamics=False,
-        ),
-        gait=GaitConfig(follow_ground=False),
-        swing=SwingConfig(foothold="reference", leg_dynamics=False, level=0.0, liftoff_blend_time=0.0),
-    )
+    changes = packaged("fastmimic.control", "paper.json", dict[str, Any])
+    found: ControllerConfig = changed(ControllerConfig(), changes, "paper")
+    return found
 
 
 CONFIGS: Final = {"default": default_config, "paper": paper_config}
@@ -155,7 +138,7 @@ def read_config(path: str | Path) -> ControllerConfig:
         expected = json.dumps(FILE_FORMAT)[1:-1]
         raise ConfigError(f"{path}: not a controller's configuration; expected {expected}")
     base = found.get("base", "default")
-    if base not in CONFIGS:
+    if not isinstance(base, str) or base not in CONFIGS:
         raise ConfigError(f"{path}: {unknown('base', str(base), CONFIGS)}")
     config: ControllerConfig = changed(CONFIGS[base](), {"name": Path(path).name, **changes}, str(path))
     return config

@@ -13,7 +13,6 @@ from fastmimic.base.vectors import copy, heading_vector, transposed_times
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.config_parts import StanceConfig
 from fastmimic.control.footing import see_ground
-from fastmimic.control.gait import plan_leg
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
 from fastmimic.control.joint_commands import (
@@ -26,7 +25,7 @@ from fastmimic.control.joint_commands import (
 )
 from fastmimic.control.native import make_workspace, seconds_now
 from fastmimic.control.recovery import LEAVES, begin_or_end_recovery, stay_with
-from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, stance_forces
+from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, plan_leg, stance_forces
 from fastmimic.control.tracking import (
     body_frame,
     compare_to_reference,
@@ -36,7 +35,7 @@ from fastmimic.control.tracking import (
 )
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.recovery_gait import NO_RECOVERY, recovery_gaits
-from fastmimic.reference.regulator import STATES, constant_gains, motion_gains
+from fastmimic.reference.regulator import GAINS, STATES, motion_gains
 from fastmimic.reference.table import CLOCK, advance_clock, stack_tables, steps_due, taken_up_at
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY, OBSERVATION, pack_model
@@ -49,8 +48,8 @@ SCRATCH: Final = record_dtype(
         *floats(heading=2, turn=2),
         # body frame: centre of mass and feet; heading frame: inertia, and the feet from the centre of mass
         *floats(com=3, inertia=(3, 3), inverse_inertia=(3, 3), feet=(4, 3), arms=(4, 3)),
-        # velocities and accelerations of the base and of the reference, heading frame; what the reference's legs take
-        *floats(lin_vel=3, ang_vel=3, ref_lin_vel=3, ref_ang_vel=3, ref_lin_acc=3, ref_ang_acc=3, leg_acc=3),
+        # velocities and accelerations of the base and of the reference, heading frame
+        *floats(lin_vel=3, ang_vel=3, ref_lin_vel=3, ref_ang_vel=3, ref_lin_acc=3, ref_ang_acc=3),
         # reference minus robot, heading frame, and the regulator's state: robot minus reference
         *floats(error=3, angle_error=3, lin_vel_error=3, ang_vel_error=3, state=STATES),
         # the acceleration that carries the weight, m/s², in the ground's frame and in the heading frame, and how far
@@ -77,13 +76,6 @@ class WorkMemory(NamedTuple):
     plan_qp: Any
     scratch: Any
     foresight: Any
-
-
-def _scratch() -> NDArray[Any]:
-    """Work memory (1,) on level ground."""
-    scratch = np.zeros(1, SCRATCH)
-    scratch["uphill"][:, 2] = GRAVITY
-    return scratch
 
 
 @kernel
@@ -183,21 +175,7 @@ def _forces(config: Any, model: Any, ref: Any, gain: Any, memory: Any, planned: 
     _add_leg_momentum(config, ref, scratch)
     if planned and config.horizon_interval == 1:
         return True
-    return bool(
-        stance_forces(
-            config,
-            model.mass,
-            scratch.inverse_inertia,
-            scratch.arms,
-            desired,
-            scratch.against,
-            gain.weight,
-            memory,
-            qp,
-            scratch.columns,
-            scratch.weighted,
-        )
-    )
+    return bool(stance_forces(config, model, gain, memory, scratch, qp))
 
 
 @kernel
@@ -235,22 +213,20 @@ def _plan_ahead(
 @inlined
 def _add_leg_momentum(config: Any, ref: Any, scratch: Any) -> None:
     """Adds to ẍ_des what the motion of the reference's legs takes."""
-    c, s, leg_acc = scratch.turn[0], scratch.turn[1], scratch.leg_acc
-    heading_vector(c, -s, ref.leg_lin_acc, leg_acc)
-    for k in range(3):
-        scratch.momentum[k] = config.leg_momentum * leg_acc[k]
-    heading_vector(c, -s, ref.leg_ang_acc, leg_acc)
-    for k in range(3):
-        scratch.momentum[3 + k] = config.leg_momentum * leg_acc[k]
+    c, s, momentum = scratch.turn[0], scratch.turn[1], scratch.momentum
+    heading_vector(c, -s, ref.leg_lin_acc, momentum[0:3])
+    heading_vector(c, -s, ref.leg_ang_acc, momentum[3:6])
     for r in range(6):
-        scratch.desired[r] += scratch.momentum[r]
+        momentum[r] *= config.leg_momentum
+        scratch.desired[r] += momentum[r]
 
 
 def constant_gains_of(stance: StanceConfig) -> NDArray[Any]:
-    """The paper's feedback, (1,) of `GAINS`."""
-    return constant_gains(
-        np.array(stance.position_gain), np.array(stance.velocity_gain), np.array(stance.acceleration_weight)
-    )
+    """The paper's feedback (eq. 1), (1,) of `GAINS`: k_p, k_d and Q."""
+    gains = np.zeros(1, GAINS)
+    gains["trunk"][0, :, :6], gains["trunk"][0, :, 6:12] = np.diag(stance.position_gain), np.diag(stance.velocity_gain)
+    gains["weight"][0] = np.diag(stance.acceleration_weight)
+    return gains
 
 
 def gains_of(motion: Motion, robot: Robot, config: ControllerConfig) -> NDArray[Any]:
@@ -294,9 +270,10 @@ class Controller:
         self._work = WorkMemory(
             qp=make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS),
             plan_qp=make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS) if ahead else None,
-            scratch=_scratch(),
+            scratch=np.zeros(1, SCRATCH),
             foresight=np.zeros(1, FORESIGHT) if ahead else None,
         )
+        self._work.scratch["uphill"][:, 2] = GRAVITY  # on level ground
 
     def recover_with(self, motion: Motion) -> None:
         """Takes recovery steps from now on as they fit a motion."""

@@ -22,9 +22,9 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
-from fastmimic.base.vectors import copy, heading_vector
+from fastmimic.base.vectors import copy, heading_of, heading_vector
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
-from fastmimic.control.horizon_preview import foresee, heading_of
+from fastmimic.control.horizon_preview import foresee
 from fastmimic.control.native import OPTIMAL, solve_qp
 from fastmimic.control.stance import friction_rows
 from fastmimic.reference.regulator import FEET, STATES
@@ -205,9 +205,7 @@ def track_plan(config: Any, obs: Any, plan: Any, gain: Any, deviation: Array, ah
         for k in range(FEET, STATES):  # the plan knows where the feet are
             desired[r] += gain.trunk[r, k] * deviation[k]
     turn = plan.heading - heading_of(obs.root_quat)
-    heading_vector(np.cos(turn), -np.sin(turn), change[0:3], ahead.vector)
-    for r in range(3):
-        desired[r] += ahead.vector[r]
-    heading_vector(np.cos(turn), -np.sin(turn), change[3:6], ahead.vector)
-    for r in range(3):
-        desired[3 + r] += ahead.vector[r]
+    for part in (change[0:3], change[3:6]):
+        heading_vector(np.cos(turn), -np.sin(turn), part, part)
+    for r in range(6):
+        desired[r] += change[r]

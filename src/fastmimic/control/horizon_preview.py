@@ -7,7 +7,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
-from fastmimic.base.vectors import copy, heading_vector, quat_to_matrix, rotation_error, times, turn_rows
+from fastmimic.base.vectors import copy, heading_of, heading_vector, quat_to_matrix, rotation_error, times, turn_rows
 from fastmimic.control.config_parts import MAX_HORIZON_STEPS
 from fastmimic.control.joint_commands import REGULATED
 from fastmimic.control.stance import force_column
@@ -24,7 +24,7 @@ FORESIGHT: Final = record_dtype(
         *floats(nominal=(_N + 1, 3), target=(_N + 1, 12), free=(_N + 1, 12), costate=12, impulse=6, rotation=(3, 3)),
         # the reference's root from the robot's, now; of where feet in the air will land from the reference's; from the
         # root to the centre of mass; changes of ẍ_des, and of the plan from the reference
-        *floats(here=3, offset=(4, 3), com=3, vector=3, change=6, apart=12),
+        *floats(here=3, offset=(4, 3), com=3, change=6, apart=12),
     ]
 )
 """Work memory for one robot's horizon, one record per thread."""
@@ -123,12 +123,6 @@ def foresee(config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: A
                 force_column(ahead.inverse_inertia[j], ahead.arms[j, leg], axis, model.mass, column)
                 for r in range(6):
                     column[r] *= weight
-
-
-@inlined
-def heading_of(q: Array) -> float:
-    """Yaw of a quaternion (w, x, y, z), rad."""
-    return np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))
 
 
 @kernel

@@ -57,10 +57,9 @@ def stance_leg(
 
 
 @inlined
-def swing_target(
-    config: Any, ref: Any, rotation: Array, reference_rotation: Array, height_error: float, leg: int, out: Array
-) -> None:
+def swing_target(config: Any, ref: Any, scratch: Any, height_error: float, leg: int, out: Array) -> None:
     """Reference foot in the robot's body frame, levelled to gravity and ground by the factor `config.level`."""
+    rotation, reference_rotation = scratch.rotation, scratch.reference_rotation
     x, y, z = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
     hx = reference_rotation[0, 0] * x + reference_rotation[0, 1] * y + reference_rotation[0, 2] * z
     hy = reference_rotation[1, 0] * x + reference_rotation[1, 1] * y + reference_rotation[1, 2] * z
@@ -89,7 +88,7 @@ def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_
             level -= height_error if k == 2 else 0.0
             memory.liftoff_offset[leg, k] = foot[k] + config.level * (level - foot[k])
         return
-    swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
+    swing_target(config, ref, scratch, height_error, leg, target)
     for k in range(3):
         memory.liftoff_offset[leg, k] = foot[k] - target[k]
     if config.foothold == REGULATED:  # x and y are the regulator's
@@ -182,7 +181,7 @@ def swing_leg(
         raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
         return
     target = scratch.foot_target
-    swing_target(config, ref, scratch.rotation, scratch.reference_rotation, height_error, leg, target)
+    swing_target(config, ref, scratch, height_error, leg, target)
     if config.foothold == REGULATED:
         for k in range(3):
             for a in range(2):
@@ -212,16 +211,8 @@ def add_leg_dynamics(config: Any, model: Any, obs: Any, memory: Any, command: An
     if weight == 0.0:
         return
     part = slice(3 * leg, 3 * leg + 3)
-    leg_inverse_dynamics(
-        model,
-        leg,
-        obs.joint_pos[part],
-        obs.joint_vel[part],
-        scratch.joint_acc[part],
-        scratch.ang_vel_b,
-        scratch.gravity_acc_b,
-        scratch.torque,
-    )
+    q, dq, ddq = obs.joint_pos[part], obs.joint_vel[part], scratch.joint_acc[part]
+    leg_inverse_dynamics(model, leg, q, dq, ddq, scratch.ang_vel_b, scratch.gravity_acc_b, scratch.torque)
     for i in range(3):
         j = 3 * leg + i
         command.torque[j] += weight * (scratch.torque[i] + model.armature[j] * scratch.joint_acc[j])

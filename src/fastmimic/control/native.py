@@ -102,15 +102,10 @@ def _solve_native(w: Any, n: int, m: int, ms: int) -> int:
 
 @object_kernel
 def _solve_object(w: Any, n: int, m: int, ms: int) -> int:
-    # arrays of a record arrive in Python as copies: results have to be handed back
+    # arrays of a record arrive in Python as copies: results have to be handed back; it also runs without the JIT
     with objmode(flag="int64", x="float64[::1]", dual="float64[::1]"):
         flag, x, dual = _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower)
     w.x[:n], w.dual[:m] = x, dual
-    return flag
-
-
-def _solve_plain(w: Any, n: int, m: int, ms: int) -> int:
-    flag, w.x[:n], w.dual[:m] = _solve_python(n, m, ms, w.hessian, w.gradient, w.rows, w.upper, w.lower)
     return flag
 
 
@@ -130,7 +125,7 @@ def _native_works() -> bool:
 
 def _choose_solver() -> Any:
     if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return _solve_plain
+        return _solve_object
     library = _library()
     if library is not None:
         depends_on(_solve_native, library._name)  # kernels in the cache were made for this build's structs
@@ -159,13 +154,9 @@ def _now_object(timespec: NDArray[np.int64]) -> float:
     return now
 
 
-def _now_plain(timespec: NDArray[np.int64]) -> float:
-    return time.perf_counter()
-
-
 def _choose_clock() -> Any:
     if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
-        return _now_plain
+        return _now_object
     try:
         _ = ctypes.CDLL(None).clock_gettime
     except (OSError, AttributeError, TypeError):

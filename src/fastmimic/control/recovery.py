@@ -11,7 +11,7 @@ import numpy as np
 
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
-from fastmimic.base.vectors import quat_to_matrix, turn_rows
+from fastmimic.base.vectors import heading_of, quat_to_matrix, turn_rows
 
 LOOK_S: Final = 0.15  # how far ahead the capture point is looked at, at most
 ONE_SIDED: Final = 0.5  # share of the landing feet that are on one side more than on the other
@@ -123,15 +123,10 @@ def _begin(config: Any, ref: Any, clock: Any, trot: Any, own: Any, obs: Any, mem
             best, least = k, cost
     own.sample, own.repeats = best, 1
     own.part = own.ahead = 0.0
-    turn = _yaw(trot[n - 1].root_quat) - _yaw(trot[0].root_quat)
+    turn = heading_of(trot[n - 1].root_quat) - heading_of(trot[0].root_quat)
     own.cycle_step[2] = turn * n / (n - 1)
-    own.origin[2] = clock.origin[2] + _yaw(ref.root_quat) - _yaw(trot[best].root_quat)
+    own.origin[2] = clock.origin[2] + heading_of(ref.root_quat) - heading_of(trot[best].root_quat)
     stay_with(own, trot, obs)
-
-
-@inlined
-def _yaw(q: Any) -> float:
-    return float(np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] ** 2 + q[3] ** 2)))
 
 
 @inlined

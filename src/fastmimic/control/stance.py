@@ -1,4 +1,10 @@
-"""Stance: ground forces that accelerate the body as wanted (paper, eq. 1; Di Carlo et al. 2018).
+"""Stance: which legs stand (paper, §III-B1 and its figure), and the ground forces that accelerate the body as wanted
+(paper, eq. 1; Di Carlo et al. 2018).
+
+The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
+schedule says so (take-off), or when it has been unloaded for a while in scheduled stance (early take-off). It enters
+stance when the schedule says so (touch-down), or when it meets the ground in scheduled swing (early touch-down). Two
+switches of a leg are at least `min_switch_time` apart.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
@@ -16,6 +22,51 @@ MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32
 _DIAGONAL = math.sqrt(0.5)
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
+
+
+@inlined
+def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -> bool:
+    """Advances one leg by one control step; True if it has just lifted off. `wanted` is the scheduled stance, `force_z`
+    the measured vertical ground force in N; `memory` is changed."""
+    loaded = force_z > config.contact_threshold
+    memory.since_switch[leg] += config.dt
+    free = force_z < config.release_threshold
+    memory.unloaded_time[leg] = memory.unloaded_time[leg] + config.dt if free else 0.0
+    if config.planner_full == 0:
+        stood = memory.stance[leg] == 1
+        if wanted != stood:
+            _switch(memory, leg, 1 if wanted else 0)
+        return stood and not wanted
+    least = config.recovery_switch_time if memory.recovering > 0 else config.min_switch_time
+    may_switch = memory.since_switch[leg] >= least
+    if memory.stance[leg] == 1:
+        if loaded:
+            memory.was_loaded[leg] = 1
+        lost = memory.was_loaded[leg] == 1 and memory.unloaded_time[leg] >= config.early_takeoff_time
+        if wanted:
+            memory.early[leg] = 0
+            leave = lost
+        else:
+            # after an early touch-down the leg stands until the schedule agrees, unless it comes free again
+            leave = lost or memory.early[leg] == 0
+        if leave and may_switch:
+            _switch(memory, leg, 0)
+            return True
+    elif may_switch and (wanted or loaded):
+        if not wanted:
+            memory.early[leg] = 1
+            memory.early_touchdowns += 1
+        _switch(memory, leg, 1)
+    return False
+
+
+@inlined
+def _switch(memory: Any, leg: int, stance: int) -> None:
+    memory.stance[leg] = stance
+    memory.since_switch[leg] = 0.0
+    memory.was_loaded[leg] = 0
+    if stance == 0:
+        memory.early[leg] = 0
 
 
 @inlined
@@ -72,30 +123,17 @@ def friction_rows(config: Any, k: int, qp: Any) -> int:
 
 
 @kernel
-def stance_forces(
-    config: Any,
-    mass: float,
-    inverse_inertia: Array,
-    arms: Array,
-    desired: Array,
-    against: Array,
-    weight: Array,
-    memory: Any,
-    qp: Any,
-    columns: Array,
-    weighted: Array,
-) -> bool:
+def stance_forces(config: Any, model: Any, gain: Any, memory: Any, scratch: Any, qp: Any) -> bool:
     """Solves for the forces of the standing legs, into `memory.force`; False if the solver failed.
 
         min ‖A f − g̃ − ẍ_des‖²_Q + ‖f‖²_R,  |f_x|, |f_y| ≤ μ f_z,  f_min ≤ f_z ≤ f_max;  f = 0 in swing;
         with `friction_sides` 8 also |f_x ± f_y| ≤ √2 μ f_z.
 
     The variables are the z forces of the k standing legs, then their x and y forces, so that the bounds on f_z are
-    DAQP's simple bounds. After a failure the last forces are held for a few steps and then dropped. In the heading
-    frame: `inverse_inertia` (3, 3) of the whole robot, `arms` (4, 3) from the centre of mass to the feet in m,
-    `desired` (6,) ẍ_des, `against` (3,) what carries the weight, m/s², `weight` (6, 6) Q; `columns` and `weighted` (12,
-    6) are scratch.
+    DAQP's simple bounds. After a failure the last forces are held for a few steps and then dropped. Reads from
+    `scratch`: inverse_inertia, arms, desired (ẍ_des) and against (g̃); Q is `gain.weight`.
     """
+    desired, against, columns, weighted = scratch.desired, scratch.against, scratch.columns, scratch.weighted
     k = memory.stance[0] + memory.stance[1] + memory.stance[2] + memory.stance[3]
     if k == 0:
         memory.force[:, :] = 0.0
@@ -107,14 +145,14 @@ def stance_forces(
             continue
         for axis in range(3):
             at = index if axis == 2 else k + 2 * index + axis
-            force_column(inverse_inertia, arms[leg], axis, mass, columns[at])
+            force_column(scratch.inverse_inertia, scratch.arms[leg], axis, model.mass, columns[at])
         index += 1
     for i in range(n):
         gradient = 0.0
         for r in range(6):
             weighted[i, r] = 0.0
             for c in range(6):
-                weighted[i, r] += weight[r, c] * columns[i, c]
+                weighted[i, r] += gain.weight[r, c] * columns[i, c]
             gradient -= weighted[i, r] * (desired[r] + (against[r] if r < 3 else 0.0))
         qp.gradient[i] = gradient
         for j in range(i + 1):

@@ -8,14 +8,14 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
 
+from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.base.files import remove_file
-from fastmimic.dataset.excerpts import Survey, look_of, save_survey, survey, survey_file
+from fastmimic.dataset.excerpts import DatasetSource, Survey, look_of, save_survey, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
-from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform, robot_digest
+from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
 from fastmimic.dataset.lock import BUILDING, working
-from fastmimic.dataset.sources import DatasetSource
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
 
@@ -144,7 +144,7 @@ class _Builder:
     def build(self, robots: Mapping[str, Robot], neighbours: Neighbours | None, *, update: bool, began: str) -> Built:
         library, request = self.library, self.request
         _begin(library, request.recipe, update)
-        digests = {name: robot_digest(robot) for name, robot in robots.items()}
+        digests = {name: fingerprint(robot.content) for name, robot in robots.items()}
         for name, digest in digests.items():
             library.save_robot(_place(name), digest)
         surveys = self._look(again=update)
@@ -254,8 +254,7 @@ class _Builder:
         return len(missing)
 
     def _settle(self, ids: frozenset[str]) -> Gathered:
-        """Writes the final index; makes the build's own records the latest among those that differ only in their
-        start."""
+        """Writes the final index; of records that differ only in their start, the build's own become the latest."""
         library = self.library
         found = library.write_index()
         earlier = [old.id for old in found.superseded if old.id in ids and old.instead is not None]

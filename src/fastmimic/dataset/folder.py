@@ -24,7 +24,7 @@ import msgspec
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, did_you_mean
-from fastmimic.base.files import replace_file, write_text
+from fastmimic.base.files import from_json, replace_file, write_text
 from fastmimic.base.text import csv_text
 from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey
@@ -142,8 +142,7 @@ class MotionDataset:
 
     @classmethod
     def open(cls, path: str | Path) -> "MotionDataset":
-        """Opens an existing library; `plan` reports damage. Raises `LibraryError` if there is none, or it has another
-        format."""
+        """Opens a library; `plan` reports damage. Raises `LibraryError` if there is none, or one of another format."""
         library = cls(Path(path))
         if not (library.path / SETTINGS).is_file():
             raise LibraryError(f"{path}: no library there; 'fastmimic library build SOURCES --out {path}' makes one")
@@ -155,21 +154,23 @@ class MotionDataset:
         """The settings of its motions; None if it is not begun. Raises `LibraryError` if they cannot be read,
         `ConfigError` if the controller's parameter file is missing."""
         said = self.settings()
-        return BuildSettings(**said | {"choice": FinalChoice(**said.get("choice", {}))}) if said else None
+        try:
+            return msgspec.convert(said, BuildSettings) if said else None
+        except msgspec.ValidationError as error:
+            raise LibraryError(f"{self.path / SETTINGS}: not a recipe ({error})") from None
 
     def settings(self) -> dict[str, Any]:
         """The recipe as saved, empty if there is none; raises `LibraryError` if it cannot be read."""
         return dict(self._saved().get("recipe", {}))
 
     def recipe_digest(self) -> str | None:
-        """The saved digest of the recipe, even if a configuration file changed since; raises `LibraryError` if it
-        cannot be read."""
+        """The recipe's digest as saved, whatever changed in files since; raises `LibraryError` if it is unreadable."""
         return self._saved().get("digest")
 
     def _saved(self) -> dict[str, Any]:
         path = self.path / SETTINGS
         try:
-            said: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            said: dict[str, Any] = from_json(path.read_text(encoding="utf-8"))
             if said["format_version"] != FORMAT_VERSION:
                 raise LibraryError(
                     f"{path}: format version {said['format_version']}; this release reads version {FORMAT_VERSION}"
@@ -244,8 +245,7 @@ class MotionDataset:
                 return found
 
     def index(self, columns: Sequence[str] = ()) -> list[Row]:
-        """Rows of the index, with all columns if `columns` is empty; raises `LibraryError` if it is missing or
-        damaged."""
+        """Rows of the index, with all columns by default; raises `LibraryError` if it is missing or damaged."""
         return list(self.index_table(columns).to_pylist())
 
     def index_table(self, columns: Sequence[str] = ()) -> "pyarrow.Table":
@@ -267,8 +267,7 @@ class MotionDataset:
         return table
 
     def find(self, name: str) -> list[Row]:
-        """Rows with this name, or with an id that begins with it; otherwise raises `LibraryError` with the closest
-        names."""
+        """Rows with this name, or an id that begins with it; raises `LibraryError` with the closest names for none."""
         table = self.index_table()
         rows = table.select(["id", "name"]).to_pylist()
         found = [i for i, row in enumerate(rows) if row["name"] == name]
@@ -311,7 +310,7 @@ def _load(folder: Path, kind: type[_Kind], which: str) -> tuple[list[_Kind], lis
             found.append(msgspec.json.decode(path.read_bytes(), type=kind))
         except FileNotFoundError:  # another builder has removed it meanwhile
             continue
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             unreadable.append(f"{folder.name}/{path.name}: cannot be read ({error}); the next build {which} mends it")
     return found, unreadable
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from fastmimic.base.errors import LibraryError
-from fastmimic.base.files import packaged, write_text
+from fastmimic.base.files import from_json, packaged, write_text
 from fastmimic.dataset.excerpts import Excerpt
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def load_record(folder: Path, identity: str) -> Record | None:
 def read_record(path: Path) -> Record | None:
     """The record in a file; None if there is none. Columns that came after it are None."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = from_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     if not isinstance(found, dict) or not found.keys() <= COLUMNS.keys() or found.get("id") != path.stem:
@@ -112,7 +112,7 @@ class FinishedJobs:
         self._folder, self._changed = folder, False
         try:
             self._states = msgspec.json.decode((folder / FINISHED).read_bytes(), type=dict[str, list[int]])
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             self._states = {}
 
     def finished(self, identity: str, motion_file: str) -> bool:
@@ -216,8 +216,7 @@ def require_pyarrow() -> Any:
 
 @dataclass(frozen=True)
 class Superseded:
-    """A record that no longer belongs to the library, `why`, and the later record of the same search, if any
-    (`instead`)."""
+    """A record that no longer belongs to the library, `why`, and `instead`, a later one of the same search, if any."""
 
     id: str
     name: str

@@ -31,13 +31,13 @@ from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import nominal_start, perturbed_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
-from fastmimic.experiments.measurement import measure, named_values
-from fastmimic.imitation.imitate import Imitation, imitate
+from fastmimic.experiments.measurement import measure, named_values, searched
+from fastmimic.imitation.imitate import Imitation
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.randomization import Randomization
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
@@ -118,11 +118,6 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def robot_digest(robot: Robot) -> str:
-    """16 hexadecimal digits of a robot's description."""
-    return fingerprint(robot.content)
-
-
 def perform(job: Job, report: Report) -> Record:
     """Runs a job unless its record exists; returns the record.
 
@@ -171,31 +166,13 @@ def _made(job: Job, report: Report) -> Record:
     def progress(step: Progress) -> None:
         report(_SEARCH * step.iteration / step.iterations)
 
-    def searched(resume: bool) -> Imitation:
-        return imitate(
-            demonstration,
-            robot,
-            method=recipe.method,
-            config=recipe.config,
-            duration_s=recipe.duration_s,
-            iterations=recipe.iterations,
-            population=recipe.population,
-            seed=job.seed,
-            workers=1,
-            checkpoint=job.checkpoint,
-            resume=resume,
-            progress=progress,
-            choice=recipe.choice,
-            warm_start=None if job.warm is None else job.warm.file,
-        )
-
+    start = None if job.warm is None else job.warm.file
+    own = {"method": recipe.method, "seed": job.seed, "workers": 1, "progress": progress, "warm_start": start}
     try:
-        result = searched(resume=job.checkpoint.is_file())
+        result = searched(demonstration, robot, recipe, job.checkpoint, **own)
     except CheckpointError:  # damaged, or of another installation
         job.checkpoint.unlink(missing_ok=True)
-        result = searched(resume=False)
-    if result.interrupted:
-        raise KeyboardInterrupt
+        result = searched(demonstration, robot, recipe, job.checkpoint, **own)
     tried = _tried(job, result)
     path = job.folder / job.motion_file
     result.motion.save(path)

@@ -15,28 +15,30 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Self
 
+import numpy as np
+
 SPIN_S: Final = 0.0005  # before a deadline the loop polls the clock: a sleep ends this late
 SHORT_SPIN_S: Final = 0.0001  # with real-time scheduling: sleeps end in time, and Linux throttles polling
+REHEARSAL_S: Final = 1.0
 PRIORITY: Final = 60  # in `SCHED_FIFO`: below the kernel's threads
 EMERGENCY_KEYS: Final = " \r\nqQ"  # damp at once: the robot sinks to the ground
 LEAVE_KEYS: Final = "sS"  # blend out and sit down
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-_MCL_CURRENT_AND_FUTURE: Final = 3
+_SWITCH_S: Final = 1e-4  # how long another thread may keep the interpreter from the loop
+_SIGNALS: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_MCL_CURRENT_FUTURE_ON_FAULT: Final = 7  # what was never touched stays out of memory: gigabytes of libraries
 
 
 class LoopClock:
     """The computer's monotonic clock, s."""
 
-    def __init__(self, real_time: bool = False) -> None:
-        """`real_time`: whether the process has real-time scheduling."""
-        self._spin_s = SHORT_SPIN_S if real_time else SPIN_S
+    spin_s = SPIN_S
 
     def now(self) -> float:
         return time.perf_counter()
 
     def sleep_until(self, moment: float) -> None:
         """Returns at that moment, or at once if it has passed; shortly before it, it spins."""
-        left = moment - time.perf_counter() - self._spin_s
+        left = moment - time.perf_counter() - self.spin_s
         if left > 0.0:
             time.sleep(left)
         while time.perf_counter() < moment:
@@ -47,7 +49,6 @@ class VirtualClock(LoopClock):
     """A clock that advances only by sleeping: loop and simulated robot run in lock step, as fast as possible."""
 
     def __init__(self) -> None:
-        super().__init__()
         self.time_s = 0.0
 
     def now(self) -> float:
@@ -57,12 +58,45 @@ class VirtualClock(LoopClock):
         self.time_s = max(self.time_s, moment)
 
 
+class Rehearsal:
+    """Runs the loop's periods for a second before anything is sent: called before each, it waits for the period's
+    deadline, and says whether there is one more. It keeps how late the periods began and how long they took, s."""
+
+    def __init__(self, clock: LoopClock, period_s: float) -> None:
+        self._clock, self._period_s = clock, period_s
+        self._deadline = self._began = 0.0
+        self.late: list[float] = []
+        self.took: list[float] = []
+
+    def __call__(self) -> bool:
+        now = self._clock.now()
+        if self._began:
+            self.took.append(now - self._began)
+        if len(self.took) * self._period_s >= REHEARSAL_S:
+            return False
+        self._deadline = max(self._deadline + self._period_s, now)
+        self._clock.sleep_until(self._deadline)
+        self._began = self._clock.now()
+        self.late.append(self._began - self._deadline)
+        return True
+
+    def text(self, most_late_s: float) -> str:
+        """A line on what this computer holds; a period may begin `most_late_s` late."""
+        late, took, period = max(self.late), max(self.took), self._period_s
+        said = f"rehearsed {1.0 / period:.0f} Hz: periods at most {1e3 * late:.1f} ms late, done in {1e3 * took:.1f} ms"
+        if late < most_late_s and float(np.percentile(self.took, 99)) < period:
+            return said
+        return f"{said}: this computer is too busy or too slow; end other work, or allow real-time scheduling"
+
+
 @contextmanager
 def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
-    """Without garbage collection; `real_time` requests that scheduling and locked memory. Yields what was refused."""
+    """Without garbage collection, or threads that keep the loop waiting; `real_time` requests that scheduling and
+    locked memory. Yields what was refused."""
     refused: list[str] = []
     gc.collect()
-    was_enabled = gc.isenabled()
+    was_enabled, interval = gc.isenabled(), sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
     gc.freeze()
     gc.disable()
     before = _ask_for_real_time(refused) if real_time else {}
@@ -75,6 +109,7 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
         if before:
             ctypes.CDLL(None).munlockall()
         gc.unfreeze()
+        sys.setswitchinterval(interval)
         if was_enabled:
             gc.enable()
 
@@ -98,7 +133,7 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
             " /etc/security/limits.conf, or the process CAP_SYS_NICE"
         )
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT_AND_FUTURE) != 0:
+    if libc.mlockall(_MCL_CURRENT_FUTURE_ON_FAULT) != 0:
         refused.append(
             f"memory cannot be locked ({os.strerror(ctypes.get_errno())}): raise 'memlock' in"
             " /etc/security/limits.conf, or give the process CAP_IPC_LOCK"
@@ -107,9 +142,9 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
 
 
 class StopSwitch:
-    """A context manager that watches the terminal and the process's signals. Within it, SIGINT and SIGTERM are counted
-    in `signals` and do not end the program. Keys need no Enter if standard input is a terminal; `key` and `leave` say
-    whether an emergency key and the key to sit down were pressed."""
+    """A context manager that watches the terminal and the process's signals. Within it, SIGINT, SIGTERM and SIGHUP (the
+    terminal is gone) are counted in `signals` and do not end the program. Keys need no Enter if standard input is a
+    terminal; `key` and `leave` say whether an emergency key and the key to sit down were pressed."""
 
     def __init__(self, stream: Any = None) -> None:
         """Reads keys from `stream`; standard input if None."""

@@ -1,22 +1,24 @@
-"""Deploying a motion: what `fastmimic deploy` does, for Python, and the figures: reward, timing, and them in words."""
+"""Deploying a motion: what `fastmimic deploy` does, for Python, and the figures: reward and timing."""
 
 import dataclasses
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.conventions import JOINT_NAMES, LEGS
+from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
-from fastmimic.base.text import NONE, number
 from fastmimic.control.config import ControllerConfig
-from fastmimic.deploy.computer import LoopClock, StopSwitch, undisturbed
+from fastmimic.deploy.computer import SHORT_SPIN_S, LoopClock, StopSwitch, VirtualClock, undisturbed
 from fastmimic.deploy.driver import RobotDriver
-from fastmimic.deploy.log import DeploymentLog, Recorder
+from fastmimic.deploy.log import PERIODS, ROW, TRUTH, DeploymentLog, LogWriter, Recorder, new_log_file
 from fastmimic.deploy.realtime_loop import Loop, LoopOutcome
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
@@ -24,7 +26,7 @@ from fastmimic.deploy.sim import TIPPED
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.episode.loop import MakeController
 from fastmimic.episode.metrics import Metrics
-from fastmimic.episode.reward import Scorer
+from fastmimic.episode.reward import Scorer, demonstration_in_world
 from fastmimic.episode.rollout import Rollout, summarised
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.imitation.evaluate import Evaluation
@@ -39,14 +41,6 @@ DEFAULT_S: Final = 10.0
 _MARGIN_S: Final = 30.0  # more than standing up, sitting down and damping take
 _SCORED: Final = "reward_mean", "components", "swing_clearance_m"
 _COUNTED: Final = "drift_m_per_s", "early_contacts_per_s", "stance_slip_m"
-_TIMES: Final = {
-    "period_error_us": "period error, µs",
-    "control_us": "control, µs",
-    "solve_us": "  planning ahead, µs",
-    "read_us": "reading, µs",
-    "write_us": "writing, µs",
-    "round_trip_us": "state received to command sent, µs",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +58,10 @@ class DeployOptions:
     endless: bool = False
     limits: SafetyLimits | None = None  # `SafetyLimits.of` the robot if None
     dry_run: bool = False  # whether commands are computed but not sent
-    real_time: bool = False  # whether to request real-time scheduling and locked memory
-    logged_s: float = 330.0  # longest time in the log; of a longer run the last part
+    real_time: bool | None = None  # whether to request real-time scheduling and locked memory; where permitted if None
+    logged_s: float = 330.0  # longest time in memory, and in the figures; of a longer run the last part
+    log: Path | None = None  # new file to which the log is written while it runs
+    about: Mapping[str, Any] = field(default_factory=dict)  # what else the log is to say, JSON-serialisable
 
     def controller(self, motion: Motion) -> tuple[str, ControllerConfig]:
         """The method's name and the controller's parameters; raises `ConfigError` for a bad name, policy or rate."""
@@ -142,7 +138,8 @@ def deploy(
         note: takes lines for the operator.
 
     Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that the robot cannot
-    begin or end, and `DriverError`, before anything is sent, without a robot that is fit to begin.
+    begin or end, and, before anything is sent, `OutputError` without room for the log, and `DriverError` without a
+    robot that is fit to begin.
     """
     options = options if options is not None else DeployOptions()
     method, config = options.controller(motion)
@@ -154,14 +151,11 @@ def deploy(
     sequence = sequence if sequence is not None else make_sequence(robot, motion, config)
     machine = StateMachine(robot, sequence, guard, config, estimator=options.estimator, policy=options.policy)
     around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
-    recorder = Recorder(round(min(around / rate_hz + _MARGIN_S + seconds, options.logged_s) * rate_hz))
-    clock = clock if clock is not None else LoopClock(options.real_time)
-    with driver, undisturbed(real_time=options.real_time) as refused:
-        for line in refused:
-            note(line)
-        with switch if switch is not None else StopSwitch() as hand:
-            loop = Loop(driver, machine, recorder, clock, steps, reason, hand, options.dry_run, watch)
-            outcome = loop.run(on_ready)
+    planned_s = around / rate_hz + _MARGIN_S + seconds
+    recorder = Recorder(ROW, round(min(planned_s, options.logged_s) * rate_hz))
+    clock = clock if clock is not None else LoopClock()
+    asked = options.real_time
+    real_time = not isinstance(clock, VirtualClock) if asked is None else asked
     meta = {
         "rate_hz": rate_hz,
         "robot": robot.name,
@@ -171,26 +165,56 @@ def deploy(
         "config": config.as_dict(),
         "latency_s": machine.estimator.config.latency_s,
         "foot_force": machine.estimator.config.foot_force,
-        "foot_sensors": [leg for leg, used in zip(LEGS, machine.estimator.believed[0], strict=True) if used],
         "limits": dataclasses.asdict(limits),
         "torque_limit": robot.torque_limit.tolist(),
         "joint_speed_limit": robot.joint_speed_limit.tolist(),
         "dry_run": options.dry_run,
+        **options.about,
     }
-    log = DeploymentLog(recorder.rows(), motion, meta)
-    truth = getattr(driver, "truth", None)  # a simulated robot's, by the number of the message
-    if truth is not None:
-        log = dataclasses.replace(log, truth=truth[log.rows["sequence"]])
-    if lost := recorder.periods - len(log.rows):
-        kept_s = len(log.rows) / rate_hz
-        note(f"the first {lost / rate_hz:.0f} s are not in the log, which holds the last {kept_s:.0f} s")
-    meta["result"] = result_of(robot, log, config, outcome, recorder.periods)
-    return Deployment(outcome, log, tuple(found.text for found in guard.noted.values()))
+    truth_at = getattr(driver, "truth_at", None)  # a simulated robot's states, by the number of the message
+
+    def columns(rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        return {PERIODS: rows} if truth_at is None else {PERIODS: rows, TRUTH: truth_at(rows["sequence"])}
+
+    writer = None
+    if options.log is not None:
+        planned = round((planned_s if math.isfinite(planned_s) else options.logged_s) * rate_hz)
+        file = new_log_file(options.log, motion, meta, planned, with_truth=truth_at is not None)
+        writer = LogWriter(recorder, file, columns)
+    with writer or nullcontext(), driver, undisturbed(real_time=real_time) as refused:
+        for line in refused if asked else ():
+            note(line)
+        if real_time and not refused:
+            clock.spin_s = SHORT_SPIN_S
+        with switch if switch is not None else StopSwitch() as hand:
+            loop = Loop(driver, machine, recorder, clock, steps, reason, hand, options.dry_run, watch, note)
+            outcome = loop.run(on_ready)
+    rows = recorder.rows()
+    found = DeploymentLog(rows, motion, meta, columns(rows).get(TRUTH))
+    if lost := recorder.periods - len(rows):
+        note(f"the figures are of the last {len(rows) / rate_hz:.0f} s, without the first {lost / rate_hz:.0f} s")
+    result = meta["result"] = result_of(robot, found, config, outcome, recorder.periods)
+    result["foot_sensors"] = [leg for leg, used in zip(LEGS, machine.estimator.believed[0], strict=True) if used]
+    if writer is not None:
+        writer.end({"result": result})
+        result["log_ends"] = writer.ends
+    return Deployment(outcome, found, tuple(noted.text for noted in guard.noted.values()))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredLog:
+    """The score of a deployment, and row by row what it is against."""
+
+    rollout: Rollout
+    rows: NDArray[np.int64]  # (k,) those of the log that are scored
+    sample: NDArray[np.int64]  # (k,) of the demonstration
+    demonstration: NDArray[Any]  # (k,) of `SAMPLE`, in the world
+    terms: Array  # (k, n) the reward's, as in `REWARD_TERMS`
 
 
 def score_log(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: NDArray[Any] | None = None
-) -> Rollout | None:
+) -> ScoredLog | None:
     """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none.
     `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of the log, the estimate if
     None. The reference starts as the controller's did and is then synchronised to these states."""
@@ -206,6 +230,7 @@ def score_log(
     table = reference_table(motion.target, robot)
     scorer, memory = Scorer(robot, table, 1, config, log.rate_hz), np.zeros(1, MEMORY)
     before = counts[0]
+    clocks, terms = np.zeros(len(rows), clock.dtype), []
     for i in range(len(rows)):
         if i > 0:
             # periods that are not there were left out of the reference as well
@@ -213,25 +238,29 @@ def score_log(
         memory["early_touchdowns"] = counts["early_touchdowns"][i] - before["early_touchdowns"]
         memory["qp_failures"] = counts["qp_failures"][i] - before["qp_failures"]
         scorer.score(clock, seen[i : i + 1], memory)
-    return summarised(scorer.counted(), len(rows), log.rate_hz)
+        clocks[i] = clock[0]
+        terms.append(scorer.terms[0])
+    rollout = summarised(scorer.counted(), len(rows), log.rate_hz)
+    demonstration = demonstration_in_world(table, clocks["sample"], clocks["origin"])
+    return ScoredLog(rollout, rows, clocks["sample"], demonstration, np.array(terms))
 
 
 def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) -> Evaluation:
     """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate. Raises
     `DeploymentError` if the robot did not reach the motion."""
-    rollout = score_log(robot, log, config, log.truth)
-    if rollout is None:
+    scored = score_log(robot, log, config, log.truth)
+    if scored is None:
         raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
     conditions = Conditions(observe="sensors")
-    return Evaluation(log.motion, rollout, str(log.meta["method"]), config, robot.name, conditions)
+    return Evaluation(log.motion, scored.rollout, str(log.meta["method"]), config, robot.name, conditions)
 
 
-def figures(rollout: Rollout | None) -> dict[str, Any]:
-    """An episode's figures, JSON-serialisable; each None without an episode."""
-    if rollout is None:
+def figures(scored: ScoredLog | None) -> dict[str, Any]:
+    """The figures, JSON-serialisable; each None where nothing is scored."""
+    if scored is None:
         return {"reward_mean": None, "components": None, "swing_clearance_m": None, "motion_s": 0.0}
-    found = Metrics.of(rollout).as_dict()
-    return {name: found[name] for name in (*_SCORED, *_COUNTED)} | {"motion_s": rollout.duration_s}
+    found = Metrics.of(scored.rollout).as_dict()
+    return {name: found[name] for name in (*_SCORED, *_COUNTED)} | {"motion_s": scored.rollout.duration_s}
 
 
 def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
@@ -280,9 +309,9 @@ def result_of(
     }
     quat = rows["reading"]["quat"] if log.truth is None else log.truth["root_quat"]
     tipped = 1 - 2 * (quat[:, 1] ** 2 + quat[:, 2] ** 2) < TIPPED
-    fell = outcome.stopped_by in (StopReason.TILT, StopReason.HEIGHT) or bool(tipped.any())
+    fell = outcome.stopped_by is StopReason.HEIGHT or bool(tipped.any())
     return {
-        "fell": fell or bool(true is not None and true.fell[0]),
+        "fell": fell or bool(true is not None and true.rollout.fell[0]),
         "stopped_by": outcome.stopped_by.value,
         "stopped_because": outcome.text or None,
         "stopped_in": outcome.phase.text,
@@ -294,7 +323,7 @@ def result_of(
         "packets": dataclasses.asdict(outcome.packets),
         "commands_cut": int((rows["cut"] > 0).sum()),
         "foot_force": log.meta["foot_force"],
-        "foot_sensors": log.meta["foot_sensors"],
+        "log_ends": None,
         "cycles": float(rows["in_motion"].sum() / log.motion.n_samples),
         **figures(score_log(robot, log, config)),
         "reward_truth_mean": truly["reward_mean"],
@@ -308,67 +337,3 @@ def _microseconds(seconds: NDArray[np.float64]) -> dict[str, float | None]:
         return {"median": None, "p99": None, "max": None}
     median, p99 = np.percentile(seconds, (50, 99))
     return {"median": float(median * 1e6), "p99": float(p99 * 1e6), "max": float(np.max(seconds) * 1e6)}
-
-
-def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
-    """Names and values of a deployment's figures; without times if it ran on a virtual clock."""
-    r, packets = result, result["packets"]
-    rows = [
-        ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
-        ("fell", "yes" if r["fell"] else "no"),
-        ("cycles", f"{r['cycles']:.1f}, {r['motion_s']:.1f} s"),
-        ("reward, estimated", number(r["reward_mean"], 3)),
-    ]
-    if r["reward_truth_mean"] is not None:
-        rows.append(("reward, ground truth", number(r["reward_truth_mean"], 3)))
-    if r["swing_clearance_m"] is not None:
-        heights = zip(LEGS, r["swing_clearance_m"], strict=True)
-        rows.append(("swing clearance, mm", ", ".join(f"{leg} {number(c, 0, 1e3)}" for leg, c in heights)))
-    if "foot_force" in r:  # not in a log of before
-        rows.append(("contact by", _contact_by(r["foot_force"], r["foot_sensors"])))
-    missed = f"{r['deadline_misses']} late, {r['periods_skipped']} skipped"
-    rows.append(("periods", f"{r['periods']} at {r['rate_hz']:g} Hz, {missed}"))
-    for name, title in _TIMES.items() if r["control_us"]["max"] else ():
-        if name != "solve_us" or r[name]["median"] is not None:
-            rows.append((title, _spread(r[name])))
-    rows.append(("commands cut to the limits", str(r["commands_cut"])))
-    rows.append(("packets", ", ".join(f"{packets[name]} {name}" for name in ("sent", "received", "lost", "rejected"))))
-    return rows
-
-
-def _contact_by(foot_force: str, used: list[str]) -> str:
-    """What told the robot of its contacts, in words."""
-    if foot_force != "auto":
-        return "joint torques" if foot_force == "off" else "foot sensors"
-    unused = ", ".join(leg for leg in LEGS if leg not in used)
-    said = f"joint torques, and foot sensors {', '.join(used)}" if used else "joint torques"
-    return said + (f"; foot sensors {unused} were not found right" if unused else "")
-
-
-def command_table(log: DeploymentLog) -> list[str]:
-    """The commands of each phase as a table, to check before a deployment."""
-    rows = log.rows
-    lines = []
-    for phase in DeploymentPhase:
-        part = rows[rows["phase"] == phase]
-        if not len(part) or phase in (DeploymentPhase.DONE, DeploymentPhase.DAMP):
-            continue
-        command, reading = part["command"], part["reading"]
-        lines.append(f"{phase.text}, {len(part) / log.rate_hz:.1f} s")
-        lines.append("              angle, rad        is at   speed   stiffness  damping   torque, N·m")
-        torque = np.array(log.meta["torque_limit"])
-        for j, name in enumerate(JOINT_NAMES):
-            q = command["joint_pos"][:, j]
-            most = float(np.abs(command["torque"][:, j]).max())
-            lines.append(
-                f"  {name:12}{q.min():+6.2f} … {q.max():+5.2f}  {reading['joint_pos'][-1, j]:+7.2f}"
-                f"  {np.abs(command['joint_vel'][:, j]).max():6.1f}  {command['stiffness'][:, j].max():9.0f}"
-                f"  {command['damping'][:, j].max():8.1f}   {most:5.1f} of {torque[j]:.1f}"
-            )
-    return lines
-
-
-def _spread(found: dict[str, float | None]) -> str:
-    if found["median"] is None:
-        return NONE
-    return f"median {found['median']:.0f}, 99 % below {found['p99']:.0f}, at most {found['max']:.0f}"

@@ -47,6 +47,7 @@ class Packets:
     received: int = 0  # states accepted
     lost: int = 0  # states missing between the sequence numbers received
     rejected: int = 0  # states with a wrong checksum, duplicates, out of order, or not finite
+    foreign: int = 0  # commands to this robot that another program sent; known of drivers over DDS
 
 
 class RobotDriver(ABC):

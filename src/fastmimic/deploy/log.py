@@ -1,63 +1,94 @@
-"""The files of a deployment: its log, one row per period, and the true states of a simulated robot.
+"""The files of a deployment: its log, one row per period, and the true states of a simulated robot; and the thread that
+writes them as the rows come.
 
-Its folder holds `log.npz`, `motion.npz`, and `deployment.json`, which is written last.
+Its folder holds `log.mcap`, which grows while it runs, and in the end `motion.npz` and `deployment.json`.
 """
 
 import io
-import json
-import tempfile
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from threading import Event, Thread
+from typing import Annotated, Any, Final, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
-from fastmimic.base.files import read_arrays, replace_file
+from fastmimic.base.files import read_json
+from fastmimic.deploy.log_file import LogFile, read_log_file
 from fastmimic.episode.run_log import RunLog
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING
-from fastmimic.runs.work_folder import created
+from fastmimic.runs.work_folder import MOTION, created
 
-LOG: Final = "log.npz"
+ENDING: Final = ".mcap"
+LOG: Final = f"log{ENDING}"
 RESULT: Final = "deployment.json"
-FORMAT_VERSION: Final = 1  # of the log, and of the true states
-_MARK: Final = "deployment_version"
-_MOTION: Final = "motion_npz"
+PERIODS: Final = "/fastmimic/period"
+"""Topic of `ROW`."""
+TRUTH: Final = "/fastmimic/truth"
+"""Topic of a simulated robot's true states, (t,) of `OBSERVATION`, at the states used."""
+ROBOT_SIM: Final = "/fastmimic/robot_sim"
+"""Topic of `GROUND_TRUTH`."""
+
+
+class _Ended(msgspec.Struct):
+    stopped_by: str
+    log_ends: str | None = None
+
+
+class _Facts(msgspec.Struct):
+    """What readers need of a log's `meta`."""
+
+    robot: str
+    motion: str
+    driver: str
+    method: str
+    foot_force: str
+    config: dict[str, Any]
+    latency_s: float
+    rate_hz: Annotated[float, msgspec.Meta(gt=0)]
+    result: _Ended | msgspec.UnsetType = msgspec.UNSET  # of a log that was cut off
+
+
+_COUNTED: Final = "received", "lost", "rejected", "foreign", "missed", "skipped"
+EVERY_S: Final = 0.25  # what a kill may lose; a slow disk sets its own pace
+_MOST: Final = 512  # rows at once
+_BEHIND: Final = 15_000  # rows, 30 s, that a disk may be behind
 
 ROW: Final = np.dtype(
     [
         *((name, "f8") for name in ("time_s", "late_s", "read_s", "control_s", "write_s", "round_trip_s", "age_s")),
-        ("sequence", "i8"),
-        ("fresh", "?"),
-        ("phase", "i1"),
-        ("in_motion", "?"),
-        ("sample", "i8"),
+        *((name, "i8") for name in ("sequence", *_COUNTED, "sample")),
         ("origin", "f8", (3,)),
         ("haste", "f8"),
         ("reading", READING),
         ("estimate", OBSERVATION),
         ("command", COMMAND),
-        ("sent", "?"),
-        ("cut", "i4"),
-        ("stance", "?", (4,)),
         ("force", "f8", (4, 3)),
         ("solve_s", "f8"),
         ("early_touchdowns", "i8"),
         ("qp_failures", "i8"),
+        ("cut", "i4"),
+        ("phase", "i1"),
+        *((name, "?") for name in ("fresh", "in_motion", "sent")),
+        ("stance", "?", (4,)),
     ]
 )
 """One period: its start since the run's start, and its delay; durations of reading, control and writing, and from the
-state's arrival to the command's departure; the state's age, sequence number and novelty; the `DeploymentPhase`, whether
-in the motion itself, the reference's sample, origin and haste; state, estimate, command, whether sent, and how many
-numbers were cut; stance legs, commanded ground reaction forces (heading frame, N), planning time and counts."""
+state's arrival to the command's departure; the state's age and sequence number; packets received, lost, rejected and
+foreign, and periods missed and skipped, since the run's start; the reference's sample, origin and haste; state,
+estimate, command; commanded ground reaction forces (heading frame, N), planning time and counts; how many numbers of
+the command were cut; the `DeploymentPhase`; whether the state was new, the robot in the motion itself, and the command
+sent; stance legs."""
 
 GROUND_TRUTH: Final = np.dtype(
     [
-        ("time", "f8"),
+        ("time_s", "f8"),
         ("tick", "i8"),
         ("observation", OBSERVATION),
         ("command", COMMAND),
@@ -69,30 +100,10 @@ GROUND_TRUTH: Final = np.dtype(
 state; command of the motors; whether they damped for lack of commands; whether the motion service was active."""
 
 
-class Recorder:
-    """Rows in preallocated memory; when it is full, the oldest are overwritten, but still counted in `periods`."""
-
-    def __init__(self, capacity: int) -> None:
-        self._rows = np.zeros(capacity, ROW)
-        self._rows.view(np.uint8)[:] = 0  # touches the memory now
-        self.periods = 0
-
-    def next_row(self) -> Any:
-        """The row of this period, to be filled in."""
-        row = self._rows[self.periods % len(self._rows)]
-        self.periods += 1
-        return row
-
-    def rows(self) -> NDArray[Any]:
-        n = len(self._rows)
-        if self.periods <= n:
-            return self._rows[: self.periods]
-        return np.roll(self._rows, -(self.periods % n))
-
-
 @dataclass(frozen=True, eq=False)
 class DeploymentLog:
-    """A finished deployment. `meta` holds `rate_hz`, `robot`, `motion`, `driver`, `method`, `result` and more."""
+    """A deployment. `meta` holds `rate_hz`, `robot`, `motion`, `driver`, `method` and more; and `result`, unless the
+    log was cut off."""
 
     rows: NDArray[Any]  # (t,) of `ROW`
     motion: Motion
@@ -120,114 +131,155 @@ class DeploymentLog:
             stance=np.ascontiguousarray(step["stance"]),
         )
 
-    def save(self, path: str | Path) -> None:
-        """Writes an `.npz` without pickles; raises `OutputError`."""
-        with tempfile.TemporaryDirectory() as folder:
-            motion = Path(folder) / "motion.npz"
-            self.motion.save(motion)
-            content = motion.read_bytes()
-        arrays: dict[str, Any] = {
-            _MARK: np.int64(FORMAT_VERSION),
-            "meta_json": np.str_(json.dumps(self.meta, sort_keys=True)),
-            _MOTION: np.frombuffer(content, np.uint8),
-            **columns("", self.rows),
-        }
-        if self.truth is not None:
-            arrays |= columns("truth_", self.truth)
-        replace_file(path, lambda file: np.savez_compressed(file, **arrays))
-
     @classmethod
     def load(cls, path: str | Path) -> "DeploymentLog":
-        """Reads what `save` wrote; raises `DeploymentError` for any other or a damaged file."""
-        arrays = read_arrays(path, DeploymentError, ".npz")
-        if _MARK not in arrays:
-            raise DeploymentError(f"{path}: not the log of a deployment ('{_MARK}' is missing)")
-        if int(arrays[_MARK]) != FORMAT_VERSION:
-            raise DeploymentError(
-                f"{path}: version {int(arrays[_MARK])} of the log; this release reads version {FORMAT_VERSION}"
-            )
+        """Reads a log, or that in a deployment's folder. One that was cut off is read as far as it goes. Raises
+        `DeploymentError` for any other or a damaged file."""
+        path = log_path(path)
+        found = read_log_file(path, {PERIODS: ROW, TRUTH: OBSERVATION})
+        rows, truth = found.rows[PERIODS], found.rows[TRUTH]
+        if not len(rows):
+            raise DeploymentError(f"{path}: not the log of a deployment, or it ends before its first period")
         try:
-            truth = from_columns("truth_", OBSERVATION, arrays) if "truth_root_pos" in arrays else None
-            motion = Motion.load(io.BytesIO(arrays[_MOTION].tobytes()))
-            return cls(from_columns("", ROW, arrays), motion, json.loads(str(arrays["meta_json"])), truth)
-        except (KeyError, ValueError, MotionError) as error:
-            raise DeploymentError(f"{path}: the log is damaged ({error})") from None
+            motion = Motion.load(io.BytesIO(found.attachments[MOTION]))
+            msgspec.convert(found.metadata, _Facts)
+        except msgspec.ValidationError as error:
+            raise DeploymentError(f"{path}: the log is damaged: {error}") from None
+        except (KeyError, MotionError):
+            raise DeploymentError(f"{path}: the log is damaged: it has no readable {MOTION}") from None
+        return cls(rows, motion, found.metadata, truth if len(truth) == len(rows) else None)
+
+
+def new_log_file(path: Path, motion: Motion, meta: Mapping[str, Any], rows: int, *, with_truth: bool) -> LogFile:
+    """A log to be written, of about so many rows; raises `OutputError` if it cannot be, or the disk has no room."""
+    content = io.BytesIO()
+    motion.save(content)
+    kinds = {PERIODS: ROW, **({TRUTH: OBSERVATION} if with_truth else {})}
+    return LogFile(path, kinds, rows, {MOTION: content.getvalue()}, meta)
+
+
+def log_path(path: str | Path) -> Path:
+    """The log in the folder of a deployment; another path as it is. Raises `DeploymentError` if there is none."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    if (path / LOG).is_file():
+        return path / LOG
+    try:
+        given = read_json(path / RESULT, DeploymentError)["arguments"]["log"]
+    except (DeploymentError, KeyError, TypeError):
+        given = None
+    if not given:
+        raise DeploymentError(f"{path}: a folder without {LOG}")
+    return Path(given)
 
 
 def is_deployment_log(path: str | Path) -> bool:
-    if Path(path).suffix != ".npz" or not Path(path).is_file():
-        return False
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return _MARK in file.files
-    except Exception:  # noqa: BLE001 - the reader reports a damaged archive
-        return False
-
-
-def columns(prefix: str, rows: NDArray[Any]) -> dict[str, Any]:
-    """A structured array's fields as plain arrays; nested fields join both names."""
-    found: dict[str, Any] = {}
-    for name in rows.dtype.names or ():
-        column = rows[name]
-        if column.dtype.names:
-            found |= columns(f"{prefix}{name}_", column)
-        else:
-            found[f"{prefix}{name}"] = np.ascontiguousarray(column)
-    return found
-
-
-def from_columns(prefix: str, dtype: np.dtype[Any], arrays: Mapping[str, Any]) -> NDArray[Any]:
-    """The inverse of `columns`; raises `KeyError` and `ValueError`."""
-    parts = {
-        name: from_columns(f"{prefix}{name}_", dtype[name], arrays) if dtype[name].names else arrays[f"{prefix}{name}"]
-        for name in dtype.names or ()
-    }
-    rows = np.zeros(len(next(iter(parts.values()))), dtype)
-    for name, part in parts.items():
-        rows[name] = part
-    return rows
+    """Whether a path is that of a log or of a deployment's folder, whole or damaged."""
+    path = Path(path)
+    return path.suffix == ENDING or (path / LOG).is_file() or (path / RESULT).is_file()
 
 
 def load_ground_truth(path: str | Path) -> NDArray[Any]:
-    """(t,) of `GROUND_TRUTH` as `GroundTruthLog.save` wrote it; raises `OutputError` for another file."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if int(file["format_version"]) != FORMAT_VERSION:
-                raise OutputError(f"{path}: version {int(file['format_version'])}, expected {FORMAT_VERSION}")
-            observation = {f"observation_{name}": file[name] for name in OBSERVATION.names or ()}
-            return from_columns("", GROUND_TRUTH, dict(file) | observation)
-    except (OSError, ValueError, KeyError) as error:
-        raise OutputError(f"{path}: not a log of 'fastmimic robot-sim' ({type(error).__name__})") from None
-
-
-class GroundTruthLog:
-    """Collects rows of `GROUND_TRUTH`. The file is an `.npz` without pickles: `format_version`; `time`, `tick`,
-    `damped`, `service` (t,); the fields of `OBSERVATION` under their names, such as `root_pos` (t, 3); those of
-    `COMMAND` prefixed by `command_`."""
-
-    def __init__(self) -> None:
-        self._rows: list[NDArray[Any]] = []
-
-    def add(
-        self, time: float, tick: int, observation: NDArray[Any], command: NDArray[Any], damped: bool, service: bool
-    ) -> None:
-        """Adds a measurement; the arrays are (1,) and copied."""
-        self._rows.append(np.array([(time, tick, observation[0], command[0], damped, service)], GROUND_TRUTH))
-
-    def rows(self) -> NDArray[Any]:
-        """(t,) of `GROUND_TRUTH`."""
-        return np.concatenate([np.zeros(0, GROUND_TRUTH), *self._rows])
-
-    def save(self, path: str | Path) -> None:
-        """Writes the file; raises `OutputError`."""
-        arrays = {name.removeprefix("observation_"): column for name, column in columns("", self.rows()).items()}
-        replace_file(path, lambda file: np.savez(file, format_version=FORMAT_VERSION, **arrays))
+    """(t,) of `GROUND_TRUTH` as `fastmimic robot-sim --log` writes it, whole or cut off; raises `DeploymentError` for
+    another file."""
+    rows = read_log_file(Path(path), {ROBOT_SIM: GROUND_TRUTH}).rows[ROBOT_SIM]
+    if not len(rows):
+        raise DeploymentError(f"{path}: not a log of 'fastmimic robot-sim', or it ends before its first state")
+    return rows
 
 
 @contextmanager
 def open_deployment(folder: Path) -> Iterator[None]:
-    """Prepares a folder, which may hold an earlier deployment; unchanged if the block fails. Raises `OutputError`."""
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / RESULT).is_file():
-        raise OutputError(f"{folder} holds something else than a deployment; choose another --out")
+    """Prepares a folder, which must be new or empty; unchanged if the block fails before its log begins. Raises
+    `OutputError`."""
+    if folder.is_dir() and any(folder.iterdir()):
+        raise OutputError(f"{folder} holds an earlier deployment or something else; choose another --out")
     with created(folder):
         yield
+
+
+class Recorder:
+    """Rows in preallocated memory; when it is full, the oldest are overwritten, but still counted in `periods`.
+    `start_ns` is the moment of time 0, since 1970; None before there is one."""
+
+    def __init__(self, kind: np.dtype[Any], capacity: int) -> None:
+        self._rows = np.zeros(capacity, kind)
+        self._rows.view(np.uint8)[:] = 0  # touches the memory now
+        self.capacity, self.periods = capacity, 0
+        self.start_ns: int | None = None
+
+    def start(self, in_s: float = 0.0) -> None:
+        """Begins anew, with time 0 in so many s."""
+        self.periods, self.start_ns = 0, time.time_ns() + round(1e9 * in_s)
+
+    def next_row(self) -> Any:
+        """The row of this period, to be filled in before the next one is asked for."""
+        row = self._rows[self.periods % self.capacity]
+        self.periods += 1
+        return row
+
+    def rows(self, first: int = 0, end: int | None = None) -> NDArray[Any]:
+        """A copy of the rows from number `first` to `end`, all if None, that are not overwritten."""
+        end = self.periods if end is None else end
+        return self._rows[np.arange(max(first, self.periods - self.capacity), end) % self.capacity]
+
+
+def ground_truth_writer(path: Path) -> "LogWriter":
+    """Writes what a simulated robot really does; raises `OutputError`."""
+    file = LogFile(path, {ROBOT_SIM: GROUND_TRUTH}, _BEHIND)
+    return LogWriter(Recorder(GROUND_TRUTH, _BEHIND), file, lambda rows: {ROBOT_SIM: rows})
+
+
+class LogWriter(Thread):
+    """Writes a recorder's rows to a file while the block runs; the loop that records never waits for the disk. When
+    that fails, or the disk is so slow that rows were overwritten, the log ends there."""
+
+    def __init__(self, recorder: Recorder, file: LogFile, columns: Callable[[NDArray[Any]], Mapping[str, Any]]) -> None:
+        """`columns` gives what is written of rows (t,), which have a `time_s`: by topic, (t,) of its kind."""
+        super().__init__(name="log", daemon=True)
+        self.recorder, self._file, self._columns = recorder, file, columns
+        self._over = Event()
+        self._written, self._until_s = 0, 0.0
+        self.ends: str | None = None
+        """When and why the log ends before the rows do."""
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Writes the rest; a file without rows is removed."""
+        self._over.set()
+        self.join()
+        if not self._written:
+            self._file.remove()
+
+    def run(self) -> None:
+        while not self._over.wait(EVERY_S):
+            self._write(self.recorder.periods - 1)  # the last one may not be complete
+        self._write(self.recorder.periods)
+
+    def end(self, metadata: Mapping[str, Any]) -> None:
+        """Ends the file, after the block."""
+        if self.ends is None:
+            self._try(self._file.end, metadata)
+
+    def _write(self, end: int) -> None:
+        while self.recorder.start_ns is not None and self._written < end and self.ends is None:
+            following = min(end, self._written + _MOST)
+            rows = self.recorder.rows(self._written, following)
+            if self.recorder.periods - self._written > self.recorder.capacity:
+                self.ends = f"at {self._until_s:.1f} s: the disk is too slow"
+                return
+            times = self.recorder.start_ns + np.round(1e9 * rows["time_s"]).astype(np.int64)
+            if self._try(self._file.add_rows, times, self._columns(rows)):
+                self._written, self._until_s = following, float(rows["time_s"][-1])
+
+    def _try(self, write: Callable[..., None], *arguments: Any) -> bool:
+        try:
+            write(*arguments)
+        except OSError as error:
+            self.ends = f"at {self._until_s:.1f} s: {error.strerror or error}"
+            self._file.close()
+        return self.ends is None

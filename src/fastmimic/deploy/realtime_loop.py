@@ -7,13 +7,13 @@ from typing import Any, Final
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.computer import LoopClock, StopSwitch
+from fastmimic.deploy.computer import LoopClock, Rehearsal, StopSwitch, VirtualClock
 from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
-_AT_ONCE: Final = 2  # signals that end the damping early
+_AT_ONCE: Final = 2  # signals that end crouching and damping early
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,13 @@ class Loop:
     dry: bool = False  # whether nothing is sent
     watch: Callable[[StateMachine, NDArray[Any]], None] | None = None
     """Called at the end of each period with the machine and the command (1,) of `COMMAND`."""
+    note: Callable[[str], None] = lambda line: None  # takes lines for the operator
 
     def __post_init__(self) -> None:
         self._guard, self._dt = self.machine.guard, self.machine.dt
         self._damping = damping_command(self._guard.limits.damping)
         self._state: StateMessage | None = None
-        self._before, self._late = Packets(), 0.0
+        self._before, self._late, self._received = Packets(), 0.0, 0.0
         self._misses = self._skipped = 0
 
     def run(self, on_ready: Callable[[], bool] | None = None) -> LoopOutcome:
@@ -59,31 +60,38 @@ class Loop:
             raise DriverError("cancelled; nothing was sent")
         self._begin()
         self._start = self._deadline = self.clock.now() + 2 * self._dt
+        self.recorder.start(2 * self._dt)
         try:
             return self._follow()
         except DriverError as error:
             return self._end(Violation(StopReason.DRIVER, str(error)))
         except BaseException:
-            self._damp_once()
+            if not self.dry:
+                self.driver.write(self._damping)
             raise
 
     def _prepare(self) -> None:
         state = self.driver.read(FIRST_STATE_S)
         if state is None:
+            if rejected := self.driver.packets.rejected:
+                raise DriverError(f"no good state of the robot within {FIRST_STATE_S:g} s: {rejected} were damaged")
             raise DriverError(
                 f"no state of the robot within {FIRST_STATE_S:g} s: is it switched on, in low-level mode, and on this"
                 " network?"
             )
-        self.machine.warm_up(state.reading)
+        rehearsal = None if isinstance(self.clock, VirtualClock) else Rehearsal(self.clock, self._dt)
+        self.machine.warm_up(state.reading, rehearsal)
+        if rehearsal is not None:
+            self.note(rehearsal.text(self._guard.limits.stale_s))
         self._began = self._start = self._deadline = self.clock.now()
         self._record(state, True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
-        self.recorder.periods = 0
 
     def _begin(self) -> None:
         self._state = self.driver.read(FIRST_STATE_S)
         if self._state is None:
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
         self._before = replace(self.driver.packets)
+        self._received = self._state.received
         found = self.machine.begin(self._state.reading)
         if found is not None:
             raise DriverError(f"the robot is not fit to begin: {found.text}")
@@ -96,13 +104,23 @@ class Loop:
             if violation is not None:
                 return self._end(violation)
             if ended_by is None and machine.phase <= DeploymentPhase.FOLLOW:
-                if self.switch.leave:
+                if self._foreign():
+                    ended_by = StopReason.FOREIGN
+                elif self.switch.leave:
                     ended_by = StopReason.ASKED
                 elif machine.in_motion and machine.follower.steps >= self.steps:
                     ended_by = self.reason
                 if ended_by is not None:
                     machine.leave()
-        return self._outcome(ended_by or StopReason.END, "", DeploymentPhase.DONE)
+        text = self._foreign() if ended_by is StopReason.FOREIGN else ""
+        return self._outcome(ended_by or StopReason.END, text, DeploymentPhase.DONE)
+
+    def _foreign(self) -> str:
+        """A line if another program commands the motors and that is not to be ignored."""
+        heard = self.driver.packets.foreign - self._before.foreign
+        if not heard or self._guard.limits.foreign == "ignore":
+            return ""
+        return f"another program sends commands to the robot's motors, {heard} until now"
 
     def _outcome(self, reason: StopReason, text: str, phase: DeploymentPhase) -> LoopOutcome:
         now, before = asdict(self.driver.packets), asdict(self._before)
@@ -125,6 +143,8 @@ class Loop:
             return Violation(StopReason.KEY, "emergency stop by a key")
         if self.switch.signals:
             return Violation(StopReason.SIGNAL, "emergency stop by a signal")
+        if self._guard.limits.foreign == "damp" and (text := self._foreign()):
+            return Violation(StopReason.FOREIGN, text)
         return None
 
     def _period(self) -> Violation | None:
@@ -142,7 +162,8 @@ class Loop:
         state = self._state
         phase, command = machine.phase, self._damping
         if violation is None:
-            command = machine.step(state.reading)
+            command = machine.step(state.reading, state.received - self._received)
+            self._received = state.received
             violation = machine.violation
         ready = clock.now()
         if violation is None:
@@ -185,6 +206,10 @@ class Loop:
         row["read_s"], row["control_s"], row["write_s"] = read - began, ready - read, done - ready
         row["round_trip_s"], row["age_s"] = done - state.received, read - state.received
         row["sequence"], row["fresh"], row["phase"], row["in_motion"] = state.sequence, fresh, phase, moving
+        packets, before = self.driver.packets, self._before
+        row["received"], row["lost"] = packets.received - before.received, packets.lost - before.lost
+        row["rejected"], row["foreign"] = packets.rejected - before.rejected, packets.foreign - before.foreign
+        row["missed"], row["skipped"] = self._misses, self._skipped
         row["sample"], row["origin"], row["haste"] = clock["sample"], clock["origin"], memory["haste"]
         row["reading"], row["estimate"], row["command"] = state.reading[0], machine.observation[0], command[0]
         row["sent"], row["cut"], row["stance"] = sent, self._guard.cut, memory["stance"]
@@ -192,23 +217,35 @@ class Loop:
         row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
 
     def _end(self, violation: Violation) -> LoopOutcome:
-        phase = self.machine.phase
+        """Crouches, if the reason allows, and damps the joints."""
+        phase, limits = self.machine.phase, self._guard.limits
         try:
-            for _ in range(max(1, round(self._guard.limits.damping_s / self._dt))):
-                self._damp_once()
-                self._began = sent = self.clock.now()
-                fresh = self._read()
-                assert self._state is not None
-                times = sent, sent, self.clock.now()
-                self._record(self._state, fresh, DeploymentPhase.DAMP, False, self._damping, not self.dry, times)
-                self._deadline = max(self._deadline, sent) + self._dt
-                self.clock.sleep_until(self._deadline)
+            if violation.reason.crouches:
+                self._crouch(round(limits.crouch_s / self._dt))
+            for _ in range(max(1, round(limits.damping_s / self._dt))):
+                self._step_down(DeploymentPhase.DAMP, self._damping)
                 if self.switch.signals >= _AT_ONCE:
                     break
         except DriverError:
             pass  # connection lost; the robot's watchdog damps it
         return self._outcome(violation.reason, violation.text, phase)
 
-    def _damp_once(self) -> None:
+    def _crouch(self, steps: int) -> None:
+        """Folds the legs, unless somebody stops it."""
+        for i in range(steps):
+            self._step_down(DeploymentPhase.CROUCH, self.machine.crouch(i / steps))
+            self.switch.poll()
+            if self.switch.key or self.switch.signals >= _AT_ONCE:
+                return
+
+    def _step_down(self, phase: DeploymentPhase, command: NDArray[Any]) -> None:
+        """One period after the end: a command that needs no state."""
         if not self.dry:
-            self.driver.write(self._damping)
+            self.driver.write(command)
+        self._began = sent = self.clock.now()
+        fresh = self._read()
+        assert self._state is not None
+        times = sent, sent, self.clock.now()
+        self._record(self._state, fresh, phase, False, command, not self.dry, times)
+        self._deadline = max(self._deadline, sent) + self._dt
+        self.clock.sleep_until(self._deadline)

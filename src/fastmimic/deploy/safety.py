@@ -1,7 +1,7 @@
 """The safety limits and their checks: each state before the controller sees it, each command before it is sent."""
 
 import dataclasses
-import math
+import json
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,16 +12,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.configuration import changed, check, documented, pack, parameter, record_fields
+from fastmimic.base.configuration import changed, check, pack, parameters, record_fields, tabulated
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.files import from_json
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
+from fastmimic.deploy.plausibility import Doubt, Senses
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import joint_ratio
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class SafetyLimits:
     """Limits of a deployment. Beyond any of them the joints are damped.
@@ -29,46 +31,31 @@ class SafetyLimits:
     Shares refer to the robot's limits in its model. The defaults are an A1's; `SafetyLimits.of` scales them.
     """
 
-    joint_margin: float = parameter(0.1, unit="rad", about="how far a joint may be beyond its range (`joint_position`)")
-    joint_speed: float = parameter(1.5, above=0.0, about="share of the joint's speed limit (`joint_velocity`)")
-    torque: float = parameter(
-        0.95, above=0.0, about="share of the motor's limit that it may exceed for `torque_time_s` at most (`torque`)"
-    )
-    torque_time_s: float = parameter(0.3, above=0.0, unit="s", about="how long a motor may exceed `torque` (`torque`)")
-    torque_peak: float = parameter(1.5, above=0.0, about="share of the motor's limit that is never exceeded (`torque`)")
-    tilt: float = parameter(
-        0.6,
-        above=0.0,
-        high=math.pi / 2,
-        unit="rad",
-        about="angle between the trunk's vertical and the reference's, or the world's while standing up and sitting"
-        " down (`tilt`)",
-    )
-    height_least: float = parameter(
-        0.6, above=0.0, about="least height of the base as a share of the reference's (`height`)"
-    )
-    height_most: float = parameter(
-        1.4, above=0.0, about="greatest height of the base as a share of the reference's (`height`)"
-    )
-    stale_s: float = parameter(0.02, above=0.0, unit="s", about="age of the newest state (`stale_state`)")
+    joint_margin: float = 0.1
+    joint_speed: float = 1.5
+    torque: float = 0.95
+    torque_time_s: float = 0.3
+    torque_peak: float = 1.5
+    tilt: float = 0.6
+    height_least: float = 0.6
+    height_most: float = 1.4
+    stale_s: float = 0.02
     # In simulation a trot survives a pause of 50 ms, in which the robot's own watchdog damps the motors.
-    overrun_s: float = parameter(0.05, above=0.0, unit="s", about="how late a command may be (`overrun`)")
-    qp_failures: int = parameter(
-        5, low=1, about="failures of the stance QP in a row (`qp_failure`); it also replaces a failed horizon QP"
-    )
-    posture: float = parameter(
-        0.35, above=0.0, unit="rad", about="a joint's distance from the standing posture before stepping (`posture`)"
-    )
-    stiffness_most: float = parameter(
-        300.0, above=0.0, unit="N·m/rad", about="greatest stiffness of a command; scaled with the robot; cut"
-    )
-    damping_most: float = parameter(
-        20.0, above=0.0, unit="N·m·s/rad", about="greatest damping of a command; scaled with the robot; cut"
-    )
-    damping: float = parameter(
-        3.0, above=0.0, unit="N·m·s/rad", about="damping of the joints after a violation; scaled with the robot"
-    )
-    damping_s: float = parameter(1.5, unit="s", about="how long the joints are damped after a violation")
+    overrun_s: float = 0.05
+    qp_failures: int = 5
+    posture: float = 0.25
+    sensors_turn: float = 0.1
+    sensors_gravity: float = 0.6
+    sensors_slip: float = 0.25
+    sensors_frozen: float = 0.1
+    sensors_ground: float = 0.2
+    lean: float = 0.1
+    foreign: str = "damp"
+    stiffness_most: float = 300.0
+    damping_most: float = 20.0
+    crouch_s: float = 0.4
+    damping: float = 3.0
+    damping_s: float = 1.5
 
     def __post_init__(self) -> None:
         check(self, "safety limit ")
@@ -90,13 +77,15 @@ def read_limits(robot: Robot, file: str | Path | None = None, settings: Sequence
     changes: dict[str, Any] = {}
     if file is not None:
         try:
-            changes = tomllib.loads(Path(file).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            found = tomllib.loads(Path(file).read_text(encoding="utf-8"))
+            changes = from_json(json.dumps(found, default=str))  # the numbers and types of JSON
+        except (OSError, ValueError, RecursionError) as error:
             raise ConfigError(f"{file}: cannot be read as TOML ({error})") from None
     for text in settings:
-        name, _, value = text.partition("=")
+        name, _, value = (part.strip() for part in text.partition("="))
+        known = parameters(SafetyLimits).get(name)
         try:
-            changes[name.strip()] = float(value)
+            changes[name] = value if known is not None and known[0].choices else float(value)
         except ValueError:
             raise ConfigError(f"--limit takes NAME=VALUE, e.g. tilt=0.5; found '{text}'") from None
     where = str(file) if file is not None and not settings else "--limit"
@@ -122,12 +111,25 @@ class StopReason(Enum):
     OVERRUN = "overrun"
     QP_FAILURE = "qp_failure"
     POSTURE = "posture"
+    IMU = "imu"
+    JOINT_SENSOR = "joint_sensor"
+    TORQUE_SENSOR = "torque_sensor"
+    FOREIGN = "foreign_commands"  # of another program
     DRIVER = "driver"  # it failed
+    UNKNOWN = "unknown"  # the log was cut off
 
     @property
     def planned(self) -> bool:
         """Whether the robot sat down by itself."""
         return self in (StopReason.DURATION, StopReason.CYCLES, StopReason.END, StopReason.ASKED)
+
+    @property
+    def crouches(self) -> bool:
+        """Whether the robot crouches before it is damped: no key was pressed, and it obeys."""
+        return self not in _AT_ONCE
+
+
+_AT_ONCE: Final = [StopReason(why) for why in ("key", "driver", "foreign_commands", "not_finite")]
 
 
 @dataclass(frozen=True)
@@ -226,7 +228,7 @@ class Guard:
     a dry run, `noted` holds the first violation of each kind; only missing states and commands not finite stop it."""
 
     def __init__(self, robot: Robot, limits: SafetyLimits, rate_hz: float, *, dry: bool = False) -> None:
-        self.limits, self._dry = limits, dry
+        self.limits, self.dry = limits, dry
         self.noted: dict[StopReason, Violation] = {}
         self._record = np.zeros(1, _LIMITS)
         self._record["joint_lower"], self._record["joint_upper"] = robot.joint_lower, robot.joint_upper
@@ -234,12 +236,19 @@ class Guard:
         self._record["dt"] = 1.0 / rate_hz
         pack(limits, self._record)
         self._strained = np.zeros(12)
+        self.senses = Senses(limits.sensors_turn, limits.sensors_gravity, limits.sensors_slip, limits.sensors_frozen)
         self._upright, self._still = np.zeros(1, SAMPLE), np.zeros(1, CLOCK)
         self._upright["root_quat"] = 1.0, 0.0, 0.0, 0.0
         self.cut = 0
 
     def reset(self) -> None:
         self._strained[:] = 0.0
+        self.senses.reset()
+
+    @property
+    def leans(self) -> bool:
+        """Whether the standing robot checks its sensors by a lean; not in a dry run, in which nothing moves."""
+        return self.limits.lean > 0 and not self.dry
 
     def check_number(self, reason: StopReason, value: float, where: str = "") -> Violation | None:
         """Checks a number: age of the newest state, s (`STALE_STATE`); delay of a command beyond its period's end, s
@@ -275,6 +284,9 @@ class Guard:
         took = f" for more than {self.limits.torque_time_s:g} s" if what == _TORQUE else ""
         return self._found(reason, f"{JOINT_NAMES[joint]}: {name} {value:.2f} {unit}, beyond {limit:.2f} {unit}{took}")
 
+    def check_doubt(self, doubt: Doubt | None) -> Violation | None:
+        return None if doubt is None else self._found(StopReason(doubt[0]), doubt[1])
+
     def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
         """Checks the controller's input, (1,) of `OBSERVATION`, against the reference."""
         if not _finite(observation):
@@ -295,7 +307,7 @@ class Guard:
 
     def _found(self, reason: StopReason, text: str) -> Violation | None:
         violation = Violation(reason, text)
-        if not self._dry or reason is StopReason.STALE_STATE:
+        if not self.dry or reason is StopReason.STALE_STATE:
             return violation
         self.noted.setdefault(reason, violation)
         return None

@@ -1,11 +1,12 @@
 """The motion sequence from standing to standing: blend in, the motion, blend out, as reference tables.
 
 Blending in stands, steps in place and enters the motion by the transitions of `fastmimic.reference`; blending out
-reverses this. All tables are made before the first command; the motion's is that of every closed loop.
+reverses this. All tables are made before the first command; the motion's is that of every closed loop. A passage is
+entered and left by the strides with which it begins and ends, as cycles.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -17,7 +18,6 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import constant_gains_of, gains_of
-from fastmimic.deploy.passage_ends import LEAST_S, first_stride, last_stride
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of
 from fastmimic.reference.motion_set import MotionSet
@@ -33,11 +33,19 @@ from fastmimic.reference.table import (
     world_root,
 )
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.transition import Layout
 
 STAND_S: Final = 1.0  # standing under the controller at start and end
 _SAME_POSTURE: Final = 0.05
 _VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc")
+LEAST_S: Final = 1.0  # of a passage with room for a stride at either end
+_STRIDES_S: Final = (0.3, 1.5)  # shortest and longest stride
+_NEARLY: Final = 1.3
+_ARRAYS: Final = (
+    *("root_pos_w", "root_quat_wxyz", "root_lin_vel_w", "root_ang_vel_w"),
+    *("joint_pos", "joint_vel", "foot_pos_b", "contact"),
+)
+_RESTS_S: Final = 0.2  # standing on all feet for so long is rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,3 +293,41 @@ def _table(
 
 def _blending(way: str, motion: Motion, table: NDArray[Any], gains: NDArray[Any], last: int) -> SequencePart:
     return SequencePart(f"blending {way} {motion.name}", table[None], 0, last, np.zeros(1, CLOCK), gains[None])
+
+
+def first_stride(motion: Motion) -> tuple[Motion, int]:
+    """The beginning of a passage as a cycle, and the sample at which it begins: until joints and contacts are about as
+    near to those at its start as they come; its first pose, if it begins at rest."""
+    rest = round(_RESTS_S * motion.rate_hz)
+    if motion.contact[:rest].all():
+        return _as_cycle(motion, 0, rest), 0
+    return _as_cycle(motion, 0, _stride(motion, 0, 1)), 0
+
+
+def last_stride(motion: Motion) -> tuple[Motion, int]:
+    """Likewise its end."""
+    rest, last = round(_RESTS_S * motion.rate_hz), motion.n_samples - 1
+    if motion.contact[-rest:].all():
+        return _as_cycle(motion, last - rest, rest), last - rest
+    n = _stride(motion, last, -1)
+    return _as_cycle(motion, last - n, n), last - n
+
+
+def _stride(motion: Motion, start: int, way: int) -> int:
+    """Samples from `start`, forwards or backwards, to the first pose that is nearly as near to it as any."""
+    least, most = (round(s * motion.rate_hz) for s in _STRIDES_S)
+    most = min(most, motion.n_samples - 1)
+    at = start + way * np.arange(min(least, most), most + 1)
+    apart = np.linalg.norm(motion.joint_pos[at] - motion.joint_pos[start], axis=1)
+    apart += (motion.contact[at] != motion.contact[start]).sum(axis=1)
+    return int(abs(at[int(np.argmax(apart <= _NEARLY * apart.min()))] - start))
+
+
+def _as_cycle(motion: Motion, first: int, n: int) -> Motion:
+    """Samples of a passage as one period."""
+    part = slice(first, first + n)
+    yaw = yaw_from_quat(motion.root_quat_wxyz[[first, first + n]])
+    moved = motion.root_pos_w[first + n, :2] - motion.root_pos_w[first, :2]
+    cycle = np.array([*rotate_planar(-yaw[0], moved), np.angle(np.exp(1j * (yaw[1] - yaw[0])))])
+    arrays = {name: getattr(motion, name)[part] for name in _ARRAYS}
+    return replace(motion, **arrays, cycle=cycle, demonstration=None, animal=None)

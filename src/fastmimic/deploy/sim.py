@@ -269,6 +269,10 @@ class SimDriver(RobotDriver):
         """(steps + 1,) of `OBSERVATION`: the true states, by the sequence number of the state message."""
         return np.concatenate(self._truth)
 
+    def truth_at(self, sequence: NDArray[np.int64]) -> NDArray[Any]:
+        """(k,) of `OBSERVATION`: the true states of messages by number (k,)."""
+        return np.concatenate([self._truth[number] for number in sequence])
+
     def _connect(self) -> None:
         """Puts the robot at its start and sends its first state."""
         self._states = SimulatedLink(self._faults, self._dt, 0)

@@ -15,7 +15,7 @@ from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
-from fastmimic.deploy.log import GroundTruthLog
+from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
@@ -88,8 +88,9 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
 class SimServer:
     """A simulated robot with a Go2's DDS interface. `realtime_factor` is simulated time per second, ≤ 1."""
 
-    def __init__(self, robot: Robot, settings: SimSettings | None = None, log: GroundTruthLog | None = None) -> None:
-        """`log` takes the ground truth. Raises `DriverError` like `Participant`, and if there is another robot."""
+    def __init__(self, robot: Robot, settings: SimSettings | None = None, log: Recorder | None = None) -> None:
+        """`log` takes the ground truth, rows of `fastmimic.deploy.log.GROUND_TRUTH`. Raises `DriverError` like
+        `Participant`, and if there is another robot."""
         self.settings = settings if settings is not None else SimSettings()
         self.counts, self.realtime_factor = SimCounts(), 1.0
         self._log = log
@@ -138,6 +139,8 @@ class SimServer:
     ) -> None:
         """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every `every_s`."""
         dt = 1.0 / PHYSICS_RATE_HZ
+        if self._log is not None:
+            self._log.start()
         begin = due = time.perf_counter()
         next_report, reported = every_s, (begin, self.body.time)
         while not stop.is_set() and self.body.time < duration_s - 0.5 * dt:
@@ -215,7 +218,9 @@ class SimServer:
         self.counts.damped += int(body.damped and not self._was_damped)
         self._was_damped = body.damped
         if self._log is not None:
-            self._log.add(body.time, self._tick, body.observation, body.command, body.damped, body.service.active)
+            row = self._log.next_row()
+            row["time_s"], row["tick"], row["observation"] = body.time, self._tick, body.observation[0]
+            row["command"], row["damped"], row["service"] = body.command[0], body.damped, body.service.active
         if not self._dead:
             self._state.write(reading, self._tick)
             self._out.send(body.time, self._tick, self._state.record)

@@ -1,5 +1,6 @@
-"""The state machine of a deployment: hold, fold, rise, settle, follow the motion sequence, sit down, release."""
+"""The state machine of a deployment: hold, fold, rise, settle, lean, follow the motion sequence, sit down, release."""
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import Controller
+from fastmimic.deploy.plausibility import LEAN_S, Lean, LoadCheck
 from fastmimic.deploy.safety import Guard, StopReason, Violation
 from fastmimic.deploy.sequence import Follower, MotionSequence
 from fastmimic.episode.loop import LoopController, MakeController
@@ -17,7 +19,7 @@ from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
 from fastmimic.reference.standing import along, rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions
+from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.robot.state import COMMAND, OBSERVATION
 
 _STANDING: Final = 0.75  # share of the standing height above which a robot counts as standing
@@ -40,11 +42,13 @@ class DeploymentPhase(IntEnum):
     FOLD = 1, "folding its legs", 1.2
     RISE = 2, "standing up", 1.5
     SETTLE = 3, "standing", 0.6
-    FOLLOW = 4, "following the motion"
-    SIT = 5, "sitting down", 1.8
-    RELEASE = 6, "releasing the joints", 0.5
-    DONE = 7, "done"
-    DAMP = 8, "damped"
+    LEAN = 4, "leaning to check its sensors", LEAN_S
+    FOLLOW = 5, "following the motion"
+    SIT = 6, "sitting down", 1.8
+    RELEASE = 7, "releasing the joints", 0.5
+    DONE = 8, "done"
+    CROUCH = 9, "crouching"
+    DAMP = 10, "damped"
 
 
 class StateMachine:
@@ -74,8 +78,12 @@ class StateMachine:
         self.observation = self.estimator.observation
         self.follower = Follower(sequence)
         self._path, _ = rising_path(robot, sequence.stand)
+        self._folded_feet, self._standing_feet = foot_positions(robot, self._path[[0, -1]])
         self._stiffness, self._damping = standing_gains(robot)
         self._command = np.zeros(1, COMMAND)
+        self._last = np.zeros(1, COMMAND)
+        self._load = LoadCheck(robot)
+        self._lean = Lean(robot, sequence.stand, guard.limits.lean)
         self._from = sequence.stand
         self._estimating, self._folded, self._leave_early = False, True, False
         self.phase, self._steps = DeploymentPhase.HOLD, 0
@@ -84,15 +92,18 @@ class StateMachine:
     def begin(self, reading: NDArray[Any]) -> Violation | None:
         """Begins with the first state (1,) of `READING`; returns a violation that prevents standing up."""
         self.guard.reset()
-        found = self.guard.check_state(reading)
+        self._last[...] = np.zeros(1, COMMAND)  # not what was rehearsed
+        self._last["joint_pos"] = reading["joint_pos"]
+        found = self._check(reading, 0.0)
         if found is None:
             self._estimating = False
             self.observation[...] = np.zeros(1, OBSERVATION)
             self._go(DeploymentPhase.HOLD, reading)
         return found
 
-    def warm_up(self, reading: NDArray[Any]) -> None:
-        """Runs all phases once to compile and cache everything, and begins again."""
+    def warm_up(self, reading: NDArray[Any], rehearse: Callable[[], bool] | None = None) -> None:
+        """Runs all phases once to compile and cache everything, then steps of the motion while `rehearse` says so, and
+        begins again."""
         way, guard = self.sequence, self.guard
         self.guard = Guard(self.robot, guard.limits, 1.0 / self.dt, dry=True)
         for phase in DeploymentPhase:
@@ -100,7 +111,7 @@ class StateMachine:
                 self._estimating = False
                 self._go(phase, reading)
                 self.step(reading)
-        for part in (way.blend_in, way.main, way.blend_out):
+        for part in (way.blend_in, way.blend_out, way.main):
             self._start_estimating(reading)
             self._start_following()
             self.follower.enter(part, np.zeros(3))
@@ -108,6 +119,8 @@ class StateMachine:
             self.phase = DeploymentPhase.FOLLOW
             for _ in range(_WARM_UP):
                 self.step(reading)
+        while rehearse is not None and rehearse():
+            self.step(reading)
         self.guard, self._estimating, self.violation = guard, False, None
         self._go(DeploymentPhase.HOLD, reading)
 
@@ -121,26 +134,47 @@ class StateMachine:
         """Whether the robot executes the motion itself, neither blending in nor out."""
         return self.phase is DeploymentPhase.FOLLOW and self.follower.in_motion
 
+    def crouch(self, share: float) -> NDArray[Any]:
+        """(1,) of `COMMAND` at a share in [0, 1] of crouching: all legs come to where they stand, as long as the
+        longest one is, and fold. It goes by joint angles alone, from the last command on: no sensor need be right."""
+        if share == 0.0:
+            last = self._last["joint_pos"]
+            self._standing_feet[:, 2] = foot_positions(self.robot, last)[0, :, 2].min()
+            self._keep_torques(last[0])
+        feet = self._standing_feet + smooth(share) * (self._folded_feet - self._standing_feet)
+        joints = inverse_kinematics(self.robot, feet[None])[0][0]
+        return self._hold(self._from + smooth(3.0 * share) * (joints - self._from))
+
     def leave(self) -> None:
         """Makes the robot blend out and sit down as soon as the motion allows."""
         self.follower.leaving = True
         self._leave_early = True
 
-    def step(self, reading: NDArray[Any]) -> NDArray[Any]:
-        """One control step from the newest state (1,) of `READING`. Returns (1,) of `COMMAND`, overwritten by the next
-        call; it must not be sent if `violation` is set."""
+    def step(self, reading: NDArray[Any], elapsed_s: float | None = None) -> NDArray[Any]:
+        """One control step from the newest state (1,) of `READING`, `elapsed_s` after the last one: 0 if it is the same
+        one, a period if None. Returns (1,) of `COMMAND`, overwritten by the next call; it must not be sent if
+        `violation` is set."""
         following, follower = self.phase is DeploymentPhase.FOLLOW, self.follower
         reference = (follower.table, follower.clock) if following else (None, None)
-        self.violation = self.guard.check_state(reading, *reference)
+        elapsed_s = self.dt if elapsed_s is None else elapsed_s
+        self.violation = self._check(reading, elapsed_s, *reference)
         if self.violation is not None:
             return self._command
         if self._estimating:
             self.estimator.step(reading, self.controller.memory["stance"] if following else _LEGS)
+        if self.phase is DeploymentPhase.LEAN:
+            self._lean.add(reading, self._last["joint_pos"][0], elapsed_s, self.estimator.load)
         if following:
             command = self._follow()
             if self.phase is DeploymentPhase.FOLLOW or self.violation is not None:
                 return command
         return self._posture(reading)
+
+    def _check(self, reading: NDArray[Any], elapsed_s: float, *reference: Any) -> Violation | None:
+        """A limit that a state is beyond, or sensors that contradict each other, who also tell its tilt."""
+        limit = self.guard.check_state(reading, *reference)
+        doubt = self.guard.check_doubt(self.guard.senses.check(reading, self._last["joint_pos"][0], elapsed_s))
+        return doubt or limit if limit is None or limit.reason is StopReason.TILT else limit
 
     def _follow(self) -> NDArray[Any]:
         """The controller's command; after the last one, the phase is `SIT`."""
@@ -148,12 +182,12 @@ class StateMachine:
         if follower.advance(observation, self.controller.memory["haste"]):
             self._switch_controller()
         self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
+        if self.violation is None and not self.guard.dry:  # in a dry run the legs bear nothing
+            self.violation = self.guard.check_doubt(self._load.check(self.estimator.load, self.dt))
         if self.violation is not None:
             return self._command
         if follower.done:
-            last, joints = self.controller.command[0], observation["joint_pos"][0]
-            torque = last["torque"] + last["stiffness"] * (last["joint_pos"] - joints)
-            self._from = joints + torque / self._stiffness  # keeps the joints' torques
+            self._keep_torques(observation["joint_pos"][0])
             self.phase, self._steps = DeploymentPhase.SIT, 0
             return self._command
         command = self.controller.step(observation, follower.clock)
@@ -162,8 +196,22 @@ class StateMachine:
 
     def _cut(self, command: NDArray[Any]) -> NDArray[Any]:
         found = self.guard.cut_command(command)
+        self._last[...] = command
         self.violation = self.violation if self.violation is not None else found
         return command
+
+    def _keep_torques(self, joints: Array) -> None:
+        """The next posture begins where the stiffness gives the last command's torques, at joints (12,) in rad."""
+        last = self._last[0]
+        torque = last["torque"] + last["stiffness"] * (last["joint_pos"] - joints)
+        self._from = joints + torque / self._stiffness
+
+    def _hold(self, joints: Array, stiffness: float = 1.0) -> NDArray[Any]:
+        """The command (1,) that holds joints (12,), rad, at a share of the standing stiffness."""
+        command = self._command
+        command["joint_pos"], command["joint_vel"], command["torque"] = joints, 0.0, 0.0
+        command["stiffness"], command["damping"] = stiffness * self._stiffness, self._damping
+        return self._cut(command)
 
     def _posture(self, reading: NDArray[Any]) -> NDArray[Any]:
         """The command of a phase without the controller; at its end the next phase begins."""
@@ -178,14 +226,13 @@ class StateMachine:
             joints = along(path, share) if self._folded else self._from + smooth(share) * (path[-1] - self._from)
         elif phase is DeploymentPhase.SETTLE:
             joints = path[-1]
+        elif phase is DeploymentPhase.LEAN:
+            joints = self._lean.posture(share)
         elif phase is DeploymentPhase.SIT:  # from the joints at the controller's last step
             joints = along(path, 1.0 - share) + (1.0 - smooth(min(1.0, 3.0 * share))) * (self._from - path[-1])
         else:
             joints, stiffness = path[0], 1.0 - smooth(share)
-        command = self._command
-        command["joint_pos"], command["joint_vel"], command["torque"] = joints, 0.0, 0.0
-        command["stiffness"], command["damping"] = stiffness * self._stiffness, self._damping
-        self._cut(command)
+        command = self._hold(joints, stiffness)
         if share >= 1.0 - 1e-9 and self.violation is None:
             self._next(reading)
         return command
@@ -200,13 +247,27 @@ class StateMachine:
             self._go(DeploymentPhase.SETTLE, reading)
         elif self.phase is DeploymentPhase.SETTLE:
             self.violation = self.guard.check_posture(reading, self.sequence.stand)
-            if self.violation is None and self._leave_early:
-                self._go(DeploymentPhase.SIT, reading)
+            if self.violation is None and self.guard.leans and not self._leave_early:
+                self._lean.begin()
+                self._go(DeploymentPhase.LEAN, reading)
             elif self.violation is None:
-                self._start_following()
-                self.phase = DeploymentPhase.FOLLOW
+                self._go_on(reading)
+        elif self.phase is DeploymentPhase.LEAN:
+            self.violation = self.guard.check_doubt(
+                self._lean.verdict(self.estimator.ground, self.guard.limits.sensors_ground)
+            )
+            if self.violation is None:
+                self._go_on(reading)
         elif self.phase is not DeploymentPhase.DONE:
             self._go(list(DeploymentPhase)[self.phase + 1], reading)
+
+    def _go_on(self, reading: NDArray[Any]) -> None:
+        """From standing to the motion, or down again."""
+        if self._leave_early:
+            self._go(DeploymentPhase.SIT, reading)
+        else:
+            self._start_following()
+            self.phase = DeploymentPhase.FOLLOW
 
     def _go(self, phase: DeploymentPhase, reading: NDArray[Any]) -> None:
         self.phase, self._steps = phase, 0
@@ -215,6 +276,7 @@ class StateMachine:
     def _start_estimating(self, reading: NDArray[Any]) -> None:
         """Starts the estimator with the robot at the world's origin, facing x."""
         self.estimator.reset(reading, np.zeros(1, START), _LEGS)
+        self._load.reset()
         self._estimating = True
 
     def _start_following(self) -> None:

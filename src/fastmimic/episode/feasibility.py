@@ -45,33 +45,22 @@ MAX_SATURATED: Final = 0.05
 
 @dataclass(frozen=True)
 class Demands:
-    """What a demonstration asks of a robot.
+    """What a demonstration asks of a robot. In flight, the difference from free fall counts as lacking."""
 
-    Attributes:
-        joint_speed: greatest joint speed, share of the limit.
-        torque: joint torque, share of the limit, of the most loaded joint, at the given percentile of the instants.
-        torque_at_speed: the same of the mean of torque and twice the speed in its direction, shares of their limits: 1
-            on the line from full torque at half of the speed limit to none at all of it.
-        friction: horizontal over vertical ground reaction force at that percentile of the instants with a foot down.
-        flight: share of the time without any foot on the ground.
-        lacking: RMS of the linear acceleration that the standing feet cannot give, g. In flight, the difference from
-            free fall counts.
-        lacking_angular: the same of the rotation about the centre of mass, rad/s².
-        joint_limited: share of the samples with a joint within 0.03 rad of its limit.
-        slide_m: furthest that a foot slides in a stance; its sphere may roll.
-        body_clearance_m: least distance of anything but the feet from the ground; negative below it.
-    """
-
-    joint_speed: float
-    torque: float
+    joint_speed: float  # greatest, share of the limit
+    torque: float  # of the most loaded joint, share of the limit, at the given percentile of the instants
+    # the same of the mean of torque and twice the speed in its direction, shares of their limits: 1 on the line from
+    # full torque at half of the speed limit to none at all of it
     torque_at_speed: float
-    friction: float
-    flight: float
-    lacking: float
-    lacking_angular: float
-    joint_limited: float
-    slide_m: float
-    body_clearance_m: float
+    friction: (
+        float  # horizontal over vertical ground reaction force at that percentile of the instants with a foot down
+    )
+    flight: float  # share of the time without any foot on the ground
+    lacking: float  # RMS of the linear acceleration that the standing feet cannot give, g
+    lacking_angular: float  # the same of the rotation about the centre of mass, rad/s²
+    joint_limited: float  # share of the samples with a joint within 0.03 rad of its limit
+    slide_m: float  # furthest that a foot slides in a stance; its sphere may roll
+    body_clearance_m: float  # least distance of anything but the feet from the ground; negative below it
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,30 +168,26 @@ def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
     the end of its reach jumps out of it, and what it then asks of motors and ground follows from that. If the
     demonstration keeps every limit and the robot fell without saturated motors or slipping feet, the only reason is
     feedback. Without a fall, only the demonstration's reasons are given."""
-    found = []
-    if needs.body_clearance_m < 0.0:
-        found.append(Reason("reach", f"a leg would be {-1e3 * needs.body_clearance_m:.0f} mm below the ground"))
-    if needs.slide_m > MAX_SLIDE_M:
-        found.append(Reason("reach", f"a standing foot would slide {1e3 * needs.slide_m:.0f} mm"))
-    if needs.joint_limited > MAX_LIMITED:
-        found.append(Reason("reach", f"a joint at its limit in {100 * needs.joint_limited:.0f} % of the time"))
-    if needs.joint_speed > 1.0:
-        found.append(Reason("joint speed", f"joints at {needs.joint_speed:.2f} of their speed limit"))
-    if needs.torque > 1.0:
-        found.append(Reason("torque", f"joints at {needs.torque:.2f} of their torque limit"))
-    if needs.friction > GROUND_FRICTION:
-        found.append(Reason("friction", f"friction {needs.friction:.2f} needed, {GROUND_FRICTION:.2f} there"))
-    if needs.flight > MAX_FLIGHT:
-        found.append(Reason("flight", f"no foot on the ground for {100 * needs.flight:.0f} % of the time"))
-    if needs.lacking > MAX_LACKING:
-        found.append(Reason("support", f"{needs.lacking:.2f} g RMS that the standing feet cannot give"))
-    if fall is None:
-        return tuple(found)
-    if fall.saturated > MAX_SATURATED:
-        found.append(Reason("torque", f"motors saturated in {100 * fall.saturated:.0f} % before the fall"))
-    if fall.slip_m > MAX_SLIP_M:
-        found.append(Reason("friction", f"a standing foot slipped {1e3 * fall.slip_m:.0f} mm before the fall"))
-    return tuple(found) or (Reason("feedback", "within all limits; the controller did not hold it"),)
+    n, sunk = needs, -needs.body_clearance_m
+    asked = [
+        (sunk > 0.0, "reach", f"a leg would be {1e3 * sunk:.0f} mm below the ground"),
+        (n.slide_m > MAX_SLIDE_M, "reach", f"a standing foot would slide {1e3 * n.slide_m:.0f} mm"),
+        (n.joint_limited > MAX_LIMITED, "reach", f"a joint at its limit in {100 * n.joint_limited:.0f} % of the time"),
+        (n.joint_speed > 1.0, "joint speed", f"joints at {n.joint_speed:.2f} of their speed limit"),
+        (n.torque > 1.0, "torque", f"joints at {n.torque:.2f} of their torque limit"),
+        (n.friction > GROUND_FRICTION, "friction", f"friction {n.friction:.2f} needed, {GROUND_FRICTION:.2f} there"),
+        (n.flight > MAX_FLIGHT, "flight", f"no foot on the ground for {100 * n.flight:.0f} % of the time"),
+        (n.lacking > MAX_LACKING, "support", f"{n.lacking:.2f} g RMS that the standing feet cannot give"),
+    ]
+    if fall is not None:
+        share, slid = 100 * fall.saturated, 1e3 * fall.slip_m
+        asked += [
+            (fall.saturated > MAX_SATURATED, "torque", f"motors saturated in {share:.0f} % before the fall"),
+            (fall.slip_m > MAX_SLIP_M, "friction", f"a standing foot slipped {slid:.0f} mm before the fall"),
+            (True, "feedback", "within all limits; the controller did not hold it"),
+        ]
+    found = tuple(Reason(kind, text) for exceeded, kind, text in asked if exceeded)
+    return found if fall is None or len(found) == 1 else found[:-1]
 
 
 def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can: NDArray[np.bool_]) -> Any:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, turned_about_z, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot
 from fastmimic.control.controller import Controller, gains_of
 from fastmimic.episode.observer import Observer
@@ -61,9 +61,7 @@ MakeController = Callable[[Robot, Motion, int, ControllerConfig], LoopController
 def on_reference(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> Placement:
     """The states at samples (n,) of a table (t,) of `SAMPLE` with its origin at (n, 3) (x, y, yaw) in the world."""
     position, quat = world_root(table, sample, origin)
-    velocity, turning = np.array(table["lin_vel"][sample]), np.array(table["ang_vel"][sample])
-    velocity[:, :2] = rotate_planar(origin[:, 2], velocity[:, :2])
-    turning[:, :2] = rotate_planar(origin[:, 2], turning[:, :2])
+    velocity, turning = (turned_about_z(table[name][sample], origin[:, 2]) for name in ("lin_vel", "ang_vel"))
     joints, speeds = table["joint_pos"][sample], table["joint_vel"][sample]
     return Placement(position, quat, joints, velocity, quat_rotate_inverse(quat, turning), speeds)
 
@@ -123,18 +121,11 @@ class ClosedLoop:
         log: bool = False,
         divisions: Sequence[int] = (),
     ) -> Rollout:
-        """Runs one episode with each robot.
-
-        Args:
-            references: one or n motions or tables (k, t) of `SAMPLE` to follow; None for the demonstration.
-            start: of n episodes.
-            steps: control steps.
-            log: whether to keep the whole course.
-            divisions: ascending control steps at which a part of the episodes ends and the next begins.
-
-        Raises `ConfigError` if the number of starts or references is not that of the robots, or their rate differs;
-        `MotionError` if the references' period is not the demonstration's.
-        """
+        """Runs one episode of so many control steps with each robot. `references` are one or n motions or tables (k, t)
+        of `SAMPLE` to follow, None for the demonstration; `log` keeps the whole course; `divisions` are ascending
+        control steps at which a part of the episodes ends and the next begins. Raises `ConfigError` if the number of
+        starts or references is not that of the robots, or their rate differs; `MotionError` if the references' period
+        is not the demonstration's."""
         self.place(start, references)
         rate_hz, scorer = self.controller.config.rate_hz, self.scorer
         recorder = _Recorder(self, steps) if log else None
@@ -169,9 +160,9 @@ class ClosedLoop:
             raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
         self.controller.tables = self._tables(references)
         place_clocks(self.clocks, start.sample, self.table, self._begin(start))
-        place = on_reference(self.table, start.sample, self.clocks["origin"])
-        joints = np.clip(place.joint_pos + start.joint_offset, self.robot.joint_lower, self.robot.joint_upper)
-        place = on_ground(self.terrain, self.robot, place._replace(joint_pos=joints))
+        told = on_reference(self.table, start.sample, self.clocks["origin"])
+        joints = np.clip(told.joint_pos + start.joint_offset, self.robot.joint_lower, self.robot.joint_upper)
+        place = on_ground(self.terrain, self.robot, told._replace(joint_pos=joints))
         self.simulation.reset(*place._replace(lin_vel=place.lin_vel + start.velocity_offset))
         self.controller.reset(start.sample)
         self.scorer.reset()
@@ -180,7 +171,7 @@ class ClosedLoop:
         self._seen = self._truth = self.simulation.observation
         self._followed = self.clocks
         if self.observer is not None:
-            self._seen, self._followed = self._first_look(self.observer, start)
+            self._seen, self._followed = self._first_look(self.observer, start, told)
 
     def control(self) -> NDArray[Any]:
         """The controller's commands (n,) of `COMMAND` for the next control step."""
@@ -216,17 +207,14 @@ class ClosedLoop:
         draws = [episode_generator(seed, int(i), _START_PURPOSE).uniform(-1.0, 1.0, 3) for i in start.streams]
         return np.array(draws) * self.terrain.spread - [0.0, 0.0, _travel(self.table)]
 
-    def _first_look(self, observer: Observer, start: Start) -> tuple[NDArray[Any], NDArray[Any]]:
-        """First sensor readings, as estimates, of robots that start as the demonstration does, and the controller's own
-        clocks. The controller is not told of the start's offsets."""
-        table, clocks = self.table, self.clocks
-        position, quat = world_root(table, start.sample, clocks["origin"])
+    def _first_look(self, observer: Observer, start: Start, told: Placement) -> tuple[NDArray[Any], NDArray[Any]]:
+        """First sensor readings, as estimates, and the controller's own clocks. The controller is told that the robots
+        are where the demonstration is, without the start's offsets."""
         known = np.zeros(self.n, START)
-        known["position"], known["heading"] = position[:, :2], yaw_from_quat(quat)
-        known["velocity"] = table["lin_vel"][start.sample]
-        known["velocity"][:, :2] = rotate_planar(clocks["origin"][:, 2], known["velocity"][:, :2])
+        known["position"], known["heading"] = told.root_pos[:, :2], yaw_from_quat(told.root_quat)
+        known["velocity"] = told.lin_vel
         planned = self.controller.memory["stance"]
-        seen = observer.reset(self.simulation.observation, known, planned, start.streams, clocks)
+        seen = observer.reset(self.simulation.observation, known, planned, start.streams, self.clocks)
         return seen, observer.clocks
 
     def _tables(self, references: Sequence[Motion] | NDArray[Any] | None) -> NDArray[Any]:
@@ -336,7 +324,6 @@ def run_episodes(
     robot: Robot,
     motion: Motion,
     *,
-    references: Sequence[Motion] | None = None,
     start: Start | None = None,
     duration_s: float = 10.0,
     config: ControllerConfig | None = None,
@@ -344,24 +331,16 @@ def run_episodes(
     conditions: Conditions | None = None,
     controller: MakeController | None = None,
 ) -> Rollout:
-    """Runs episodes of a motion once; they are scored against the demonstration `motion.target`.
-
-    Args:
-        motion: what the controller follows, unless `references` has one for each episode.
-        start: one episode from the motion's start if None.
-        duration_s: length of an episode, s; at most to the end of a motion that does not repeat.
-        log: whether to keep the whole course.
-        controller: makes another controller than the model-based one, such as a policy.
-    """
+    """Runs episodes of a motion once, scored against its demonstration `motion.target`: one from the motion's start if
+    `start` is None, each `duration_s` long, s, at most to the end of a motion that does not repeat. `log` keeps the
+    whole course; `controller` makes another controller than the model-based one, such as a policy."""
     start = start if start is not None else nominal_start(1)
     loop = ClosedLoop(robot, motion.target, start.n, config, conditions=conditions, controller=controller)
     steps = episode_steps(duration_s, loop.controller.config.rate_hz)
     if motion.cycle is None:  # it ends, and so do its episodes
         steps = max(1, min(steps, motion.n_samples - 1 - int(start.sample.max())))
     divisions = [first for first in motion.target.segment_starts if first] if not start.sample.any() else []
-    return loop.run(
-        list(references) if references is not None else [motion], start, steps, log=log, divisions=divisions
-    )
+    return loop.run([motion], start, steps, log=log, divisions=divisions)
 
 
 def share_of_falls(robot: Robot, motion: Motion) -> float:

@@ -22,46 +22,33 @@ _LEAST_AMPLITUDE: Final = 1e-4  # m; a foot that moves less has no path of its o
 
 @dataclass(frozen=True, kw_only=True)
 class Metrics:
-    """Figures over the episodes of a rollout; NaN where there is no value (no swing).
-
-    Attributes:
-        reward_mean, reward_std, reward_worst: over the episodes; steps after a fall count 0.
-        components: mean of each term of the reward, by name.
-        fell: share of the episodes that ended in a fall, in [0, 1].
-        drift_m_per_s: speed that the synchronisation of the reference hides.
-        swing_clearance_m: (4,) mean greatest height of each foot in its swings.
-        stance_slip_m: mean path that a loaded foot slides in a stance.
-        foot_x_rmse_m, foot_z_rmse_m: against the demonstration, body frame.
-        qp_failures: steps in which the stance QP failed, in all episodes.
-        success, mpjpe_mm, … acceleration_distance: the field's measures of motion tracking (`TRACKING_ERRORS`),
-            means over the episodes; `success` is the share of them in [0, 1].
-        reward_animal: mean reward against the animal's motion, for a motion that was made executable.
-        estimate: errors of the state estimate by name, root mean squares over the episodes, but of the drift the mean
-            over those that travelled. None if the controller was told the true state.
-    """
+    """Figures over the episodes of a rollout; NaN where there is no value (no swing). From `success` on, the field's
+    measures of motion tracking (`TRACKING_ERRORS`), means over the episodes."""
 
     episodes: int
     duration_s: float
-    reward_mean: float
+    reward_mean: float  # over the episodes; steps after a fall count 0
     reward_std: float
     reward_worst: float
-    components: dict[str, float]
-    fell: float
-    drift_m_per_s: float
-    swing_clearance_m: tuple[float, ...]
+    components: dict[str, float]  # mean of each term of the reward, by name
+    fell: float  # share of the episodes that ended in a fall, in [0, 1]
+    drift_m_per_s: float  # speed that the synchronisation of the reference hides
+    swing_clearance_m: tuple[float, ...]  # (4,) mean greatest height of each foot in its swings
     early_contacts_per_s: float
-    stance_slip_m: float
-    foot_x_rmse_m: float
+    stance_slip_m: float  # mean path that a loaded foot slides in a stance
+    foot_x_rmse_m: float  # against the demonstration, body frame
     foot_z_rmse_m: float
-    qp_failures: int
-    success: float
+    qp_failures: int  # steps in which the stance QP failed, in all episodes
+    success: float  # share of the episodes, in [0, 1]
     mpjpe_mm: float
     mpbpe_root_mm: float
     root_position_error_m: float
     root_heading_error_rad: float
     joint_velocity_error_rad_s: float
     acceleration_distance: float
-    reward_animal: float | None = None
+    reward_animal: float | None = None  # mean against the animal's motion, for a motion that was made executable
+    # errors of the state estimate by name, root mean squares over the episodes (of the drift the mean over those that
+    # travelled); None if the controller was told the true state
     estimate: dict[str, float] | None = None
 
     @classmethod

@@ -16,19 +16,12 @@ VELOCITY_NOISE: Final = 0.1  # m/s
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Starts of n episodes.
+    """Starts of n episodes."""
 
-    Attributes:
-        sample: (n,) index into the motion.
-        joint_offset: (n, 12) rad, added to the demonstration's joints.
-        velocity_offset: (n, 3) m/s, added to its base velocity, world frame.
-        stream: (n,) numbers of the episodes' random streams (`Conditions.seed`); 0 … n − 1 if None.
-    """
-
-    sample: NDArray[np.int64]
-    joint_offset: Array
-    velocity_offset: Array
-    stream: NDArray[np.int64] | None = None
+    sample: NDArray[np.int64]  # (n,) index into the motion
+    joint_offset: Array  # (n, 12) rad, added to the demonstration's joints
+    velocity_offset: Array  # (n, 3) m/s, added to its base velocity, world frame
+    stream: NDArray[np.int64] | None = None  # (n,) numbers of the random streams (`Conditions.seed`); 0 … n − 1 if None
 
     @property
     def n(self) -> int:

@@ -17,7 +17,7 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.registry import Registry
-from fastmimic.base.rotations import rotate_planar
+from fastmimic.base.rotations import turned_about_z
 from fastmimic.base.vectors import quat_to_matrix, turn_rows
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.tracking_errors import TRACKING_SUMS, count_tracking
@@ -32,21 +32,14 @@ the term (n,), each in [0, 1]. Called once per control step."""
 
 @dataclass(frozen=True)
 class RewardTerm:
-    """A term of the reward: 1 where the robot does exactly what the demonstration does.
-
-    Attributes:
-        weight: positive. All weights are divided by their sum, so that the reward lies in [0, 1].
-        about: what it compares.
-        color, dash: of its line in charts; the lengths of dashes and gaps, in pixels.
-        function: computes it; None for the compiled built-in ones.
-    """
+    """A term of the reward: 1 where the robot does exactly what the demonstration does."""
 
     name: str
-    weight: float
-    about: str = ""
-    color: str = "#999999"
-    dash: tuple[int, ...] = (1, 2)
-    function: TermFunction | None = None
+    weight: float  # positive; all weights are divided by their sum, so that the reward lies in [0, 1]
+    about: str = ""  # what it compares
+    color: str = "#999999"  # of its line in charts
+    dash: tuple[int, ...] = (1, 2)  # of that line: lengths of dashes and gaps, in pixels
+    function: TermFunction | None = None  # computes it; None for the compiled built-in ones
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.weight) and self.weight > 0):
@@ -322,8 +315,7 @@ def demonstration_in_world(table: NDArray[Any], sample: NDArray[np.int64], origi
     position, quat = world_root(table, sample, origin)
     demonstration["root_pos"], demonstration["root_quat"] = position, quat
     for name in ("lin_vel", "ang_vel", "lin_acc", "ang_acc"):
-        vector = demonstration[name]
-        vector[..., :2] = rotate_planar(origin[..., 2], vector[..., :2])
+        demonstration[name] = turned_about_z(demonstration[name], origin[..., 2])
     return demonstration
 
 

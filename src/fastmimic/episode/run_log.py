@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import LogError
-from fastmimic.base.files import read_arrays, replace_file
+from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 
 FORMAT: Final = "fastmimic run log"
@@ -22,25 +22,16 @@ _NOT_KNOWN: Final = ("other_contact",)  # fields of an observation that no senso
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """One run over t control steps, as the robot's computer saw it. There is no field for the truth.
-
-    Attributes:
-        rate_hz: control steps a second.
-        latency_s: age of the readings of IMU and joints on arrival.
-        reading: (t,) of `READING`, the latest at the end of each step.
-        command: (t,) of `COMMAND`, the motors' commands for the step.
-        estimate: (t,) of `OBSERVATION`, the estimator's result.
-        stance: (t, 4) bool, legs that the gait planner let stand in the step.
-    """
+    """One run over t control steps, as the robot's computer saw it. There is no field for the truth."""
 
     robot: str
     motion: str
-    rate_hz: float
-    latency_s: float
-    reading: NDArray[Any]
-    command: NDArray[Any]
-    estimate: NDArray[Any]
-    stance: NDArray[np.bool_]
+    rate_hz: float  # control steps a second
+    latency_s: float  # age of the readings of IMU and joints on arrival
+    reading: NDArray[Any]  # (t,) of `READING`, the latest at the end of each step
+    command: NDArray[Any]  # (t,) of `COMMAND`, the motors' commands for the step
+    estimate: NDArray[Any]  # (t,) of `OBSERVATION`, the estimator's result
+    stance: NDArray[np.bool_]  # (t, 4) legs that the gait planner let stand in the step
 
     @property
     def duration_s(self) -> float:
@@ -66,7 +57,7 @@ class RunLog:
             raise LogError(f"{path}: no such file; 'fastmimic evaluate MOTION --observe sensors --log FILE' writes one")
         found = read_arrays(path, LogError, "log of a run, perhaps cut off while it was copied")
         try:
-            about = json.loads(str(found["about"]))
+            about = from_json(str(found["about"]))
             right = about["format"] == FORMAT and about["version"] == VERSION
         except (KeyError, ValueError, TypeError):
             right = False
@@ -86,8 +77,8 @@ class RunLog:
             for field in _fields(dtype):
                 value = found.get(f"{name}_{field}")
                 shape = (steps, *dtype[field].shape)
-                if value is None or value.shape != shape:
-                    was = "is missing" if value is None else f"has the shape {value.shape}"
+                if value is None or value.shape != shape or value.dtype.kind not in "biuf":
+                    was = "is missing" if value is None else f"is {value.dtype}{value.shape}"
                     raise LogError(f"{path}: '{name}_{field}' {was}; expected {shape}, a row for each control step")
                 if not np.isfinite(value).all():
                     row = int(np.argwhere(~np.isfinite(value))[0, 0])

@@ -133,17 +133,14 @@ def _count_acceleration(tally: Any, spacing: int, dt: float) -> None:
         return
     if tally.steps >= 2 * spacing:
         tally.frames += 1
+    course = tally.course
     for point in range(POINTS):
         total = 0.0
         for axis in range(3):
-            now, before, earlier = (
-                tally.course[0, point, axis],
-                tally.course[1, point, axis],
-                tally.course[2, point, axis],
-            )
+            now, before, earlier = course[0, point, axis], course[1, point, axis], course[2, point, axis]
             d = now - 2.0 * before + earlier
             total += d * d
-            tally.course[2, point, axis], tally.course[1, point, axis] = before, now
+            course[2, point, axis], course[1, point, axis] = before, now
         if tally.steps >= 2 * spacing:
             tally.acceleration_error += np.sqrt(total) / (POINTS * (spacing * dt) ** 2)
 

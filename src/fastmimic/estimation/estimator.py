@@ -1,5 +1,6 @@
 """The estimator: from readings to what the controller is told, all robots in one compiled call."""
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -306,6 +307,17 @@ class Estimator:
         """(n, 4): whose foot sensors count at present."""
         mode = int(self._config["foot_force"][0])
         return self.state["believed"] == 1 if mode == FUSED else np.full((len(self.state), 4), mode == SENSORS)
+
+    @property
+    def load(self) -> float:
+        """What all legs of the first robot bear by their torques, N; NaN if only foot sensors count."""
+        felt = int(self._config["foot_force"][0]) != SENSORS
+        return float(self.state["load"][0].sum()) if felt else math.nan
+
+    @property
+    def ground(self) -> Array:
+        """(2,): rotation of the first robot's ground from level, about x and y, rad."""
+        return np.asarray(self.state["ground"][0])
 
     def reset(self, readings: NDArray[Any], starts: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
         """Starts at known places, from the first readings, at rest or in motion; arguments and result as in `step`.

@@ -40,7 +40,7 @@ class Executor(Protocol):
         more jobs can run, and what a job raises, if it is no `FastMimicError`: a defect."""
 
 
-def attempt(work: Work, job: Any, report: Report) -> tuple[Any, FastMimicError | None]:
+def attempt(work: Work, job: Any, report: Report = lambda share: None) -> tuple[Any, FastMimicError | None]:
     """A job's result, or the `FastMimicError` that it raised."""
     try:
         load_extensions()  # a process of its own has not got them yet

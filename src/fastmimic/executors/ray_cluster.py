@@ -74,7 +74,7 @@ class RayExecutor:
         own = not ray.is_initialized()
         if own:
             self._connect(ray)
-        task = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1, retry_exceptions=False)(_work)
+        task = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1, retry_exceptions=False)(attempt)
         waiting = enumerate(jobs)
         running: dict[Any, int] = {}
         try:
@@ -122,10 +122,6 @@ def _check_reachable(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), timeout=_REACHED_S).close()
     except (OSError, OverflowError) as error:
         raise ConfigError(f"no Ray cluster at '{address}': {error}; 'ray status' shows a running one") from None
-
-
-def _work(work: Work, job: Any) -> tuple[Any, FastMimicError | None]:
-    return attempt(work, job, lambda share: None)
 
 
 def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:

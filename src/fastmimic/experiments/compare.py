@@ -18,21 +18,9 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import controller_config
 from fastmimic.executors.local import LocalExecutor
+from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
-from fastmimic.experiments.comparison_run import (
-    POLICY,
-    RUNS,
-    ComparisonSettings,
-    Row,
-    Run,
-    RunTask,
-    check_unique,
-    digest,
-    finished_row,
-    perform,
-    run_of,
-    slug,
-)
+from fastmimic.experiments.comparison_run import POLICY, RUNS, ComparisonSettings, Row, Run, RunTask, finished_row
 from fastmimic.imitation.methods import PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
@@ -78,8 +66,8 @@ class ComparisonPlan:
             )
         if self.policies and RL not in self.methods:
             raise ConfigError(f"policies are for the method '{RL}', which is not among {', '.join(self.methods)}")
-        check_unique("motion", [_stem(motion) for motion in self.motions])
-        check_unique("method", self.methods)
+        compared.check_unique("motion", [_stem(motion) for motion in self.motions])
+        compared.check_unique("method", self.methods)
         controller_config(self.settings.config)
         CmaSettings(self.settings.iterations, self.settings.population)
         Objective(self.settings.duration_s)
@@ -168,7 +156,7 @@ class Prepared:
                 report(effort, None)
 
         executor = LocalExecutor(max(1, min(workers, len(tasks))))
-        with closing(executor.run(perform, tasks, progress)) as outcomes:
+        with closing(executor.run(compared.perform, tasks, progress)) as outcomes:
             for outcome in outcomes:
                 if outcome.error is not None:
                     raise outcome.error
@@ -201,7 +189,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
             known[path] = Motion.load(path)
         if run.method == RL and run not in policies:
             policies[run] = _policy(out / RUNS / run.folder / POLICY, robot, known[path])
-        if row.get("digest") != digest(run, plan.settings, robot, known[path], policies.get(run)):
+        if row.get("digest") != compared.digest(run, plan.settings, robot, known[path], policies.get(run)):
             raise OutputError(
                 f"{out / RUNS / run.folder}: a finished run of another {'policy' if run in policies else 'controller'},"
                 " motion or robot than this installation's; choose another --out, or --overwrite it"
@@ -266,7 +254,7 @@ def _policy(file: Path, robot: Robot, demonstration: Motion) -> "Policy":
 
 
 def _stem(name: str) -> str:
-    return slug(name).removesuffix(".npz")
+    return compared.slug(name).removesuffix(".npz")
 
 
 def _file(out: Path, name: str, consistent: bool) -> Path:
@@ -285,7 +273,7 @@ def _finished(out: Path) -> dict[Run, Row]:
         row = finished_row(folder) if folder.is_dir() else None
         if row is None:
             continue
-        run = run_of(row)
+        run = compared.run_of(row)
         if run.folder == folder.name:
             found[run] = row
     return found

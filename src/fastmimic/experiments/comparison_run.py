@@ -18,7 +18,7 @@ import numpy as np
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.base.files import read_json, replace_file, write_json, write_text
+from fastmimic.base.files import from_json, read_json, replace_file, write_json, write_text
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.control.config import ControllerConfig, controller_config
@@ -26,16 +26,10 @@ from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
+from fastmimic.experiments import measurement
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named
-from fastmimic.experiments.measurement import (
-    EVALUATION_S,
-    PERTURBED_EPISODES,
-    Row,
-    foot_courses,
-    measure,
-    named_values,
-)
-from fastmimic.imitation.imitate import Imitation, imitate
+from fastmimic.experiments.measurement import EVALUATION_S, PERTURBED_EPISODES, Row
+from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
@@ -164,8 +158,8 @@ def digest(
 
 def perform(task: RunTask, report: Report) -> Row:
     """Optimises if the method does, evaluates, and writes the run's folder; resumes from a checkpoint in it. Returns
-    the row (`COLUMNS` in `fastmimic.experiments.tables`). The folder keeps a copy of a learned method's policy. Raises
-    `FastMimicError` as `imitate`; the checkpoint survives Ctrl-C."""
+    the row, of `COLUMNS`. The folder keeps a copy of a learned method's policy. Raises `FastMimicError` as `imitate`;
+    the checkpoint survives Ctrl-C."""
     report(0.0)
 
     def progress(step: Progress) -> None:
@@ -179,8 +173,7 @@ def perform(task: RunTask, report: Report) -> Row:
         policy = Policy.load(task.policy)
         controller = controlled_by(policy)
     demonstration = Motion.load(task.demonstration)
-    checkpoint = folder / CHECKPOINT
-    resumed = checkpoint.is_file()
+    resumed = (folder / CHECKPOINT).is_file()
     config = controller_of(run, settings)
     # compile or load before the clock starts
     run_episodes(
@@ -191,25 +184,20 @@ def perform(task: RunTask, report: Report) -> Row:
         controller=controller,
     )
     busy = time.process_time()
-    result = imitate(
+    result = measurement.searched(
         demonstration,
         robot,
+        settings,
+        folder / CHECKPOINT,
         method=run.method,
         config=config,
         duration_s=episode_duration(demonstration, settings.duration_s),
-        iterations=settings.iterations,
-        population=settings.population,
         seed=run.seed,
         workers=1,
-        checkpoint=checkpoint,
-        resume=resumed,
         progress=progress,
         n_basis=ablation_named(run.variant).n_basis,
         controller=controller,
-        choice=settings.choice,
     )
-    if result.interrupted:
-        raise KeyboardInterrupt
     began = time.perf_counter()
     row = _row(run, settings, result, folder, controller)
     row |= {
@@ -230,7 +218,7 @@ def finished_row(folder: Path) -> Row | None:
     """The row of a finished run, or None; raises `OutputError` if its file is damaged."""
     path = folder / ROW
     try:
-        row = dict(json.loads(path.read_text(encoding="utf-8")))
+        row = dict(from_json(path.read_text(encoding="utf-8")))
         run_of(row)
     except FileNotFoundError:
         return None
@@ -258,7 +246,7 @@ def _row(
     run: Run, settings: ComparisonSettings, result: Imitation, folder: Path, controller: MakeController | None = None
 ) -> Row:
     robot, demonstration = result.robot, result.demonstration
-    measured = measure(result, settings.evaluation_s, settings.perturbed_episodes, controller)
+    measured = measurement.measure(result, settings.evaluation_s, settings.perturbed_episodes, controller)
     _save_tracking(folder / TRACKING, demonstration, measured.before, measured.after, robot)
     found = {
         **asdict(run),
@@ -272,7 +260,7 @@ def _row(
         "population": settings.population,
         "evaluation_s": measured.seconds,
         "perturbed_episodes": settings.perturbed_episodes,
-        "parameters": named_values(result),
+        "parameters": measurement.named_values(result),
         **{f"{name}_version": v for name, v in versions().items()},
     }
     return dict(plain(found))
@@ -283,8 +271,8 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
     shown = _TRACKED_CYCLES * demonstration.n_samples
     end = max(int(before.steps[0]), int(after.steps[0]))
     window = slice(max(0, end - shown), end)
-    wanted, realised = foot_courses(after, robot)
-    unoptimised = foot_courses(before, robot)[1]
+    wanted, realised = measurement.foot_courses(after, robot)
+    unoptimised = measurement.foot_courses(before, robot)[1]
     replace_file(
         path,
         lambda file: np.savez_compressed(
@@ -309,6 +297,21 @@ class ComparisonFolder(WorkFolder):
     def begun(self) -> bool:
         """Whether any run has written something."""
         return (self.path / RUNS).is_dir()
+
+    @contextmanager
+    def opened(self, settings: Mapping[str, Any], *, resume: bool, overwrite: bool) -> Iterator[None]:
+        """Prepares the folder before long work begins; restores it if no run finishes. `settings` must equal those of
+        `environment.json` to resume. Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the
+        folder holds other files or cannot be written."""
+        new = not self.found()
+        self.check(settings, resume=resume, overwrite=overwrite)
+        with created(self.path):
+            try:
+                yield
+            except BaseException:
+                if new and not self.begun:
+                    self.clear()
+                raise
 
     def begin(self, environment: Mapping[str, Any], *, overwrite: bool) -> None:
         """Writes `environment.json`; with `overwrite`, removes the comparison in the folder first. Motions of an
@@ -336,22 +339,3 @@ class ComparisonFolder(WorkFolder):
             return (*kind, motions.index(row["motion"]), methods.index(row["method"]), variants.index(row["variant"]))
 
         return sorted(rows, key=place)
-
-
-@contextmanager
-def open_comparison(
-    path: Path, settings: Mapping[str, Any], *, resume: bool, overwrite: bool
-) -> Iterator[ComparisonFolder]:
-    """Prepares a folder for a comparison before long work begins; restores it if no run finishes. `settings` must equal
-    those of `environment.json` to resume. Raises `ConfigError` for both `resume` and `overwrite`, `OutputError` if the
-    folder holds other files or cannot be written."""
-    folder = ComparisonFolder.at(path)
-    new = not folder.found()
-    folder.check(settings, resume=resume, overwrite=overwrite)
-    with created(path):
-        try:
-            yield folder
-        except BaseException:
-            if new and not folder.begun:
-                folder.clear()
-            raise

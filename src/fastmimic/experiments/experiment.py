@@ -1,26 +1,24 @@
 """What `stress` and `transfer` share: subjects (methods with their motions), and the folder of finished parts."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.base.files import check_folder, write_json, write_text
-from fastmimic.base.machine import versions
+from fastmimic.base.files import from_json, write_text
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.comparison_run import Row, check_unique, slug
-from fastmimic.imitation.imitate import imitate
+from fastmimic.experiments.measurement import searched
 from fastmimic.imitation.methods import Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.robot import Robot
-from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, WorkFolder
 from fastmimic.simulation.conditions import Conditions
 
 DURATION_S: Final = 5.0  # s, length of the optimisation's episodes, as in `imitate`
@@ -111,49 +109,11 @@ def make_subject(
             raise OutputError(f"{path} was optimised from another motion; remove it, or choose another --out")
         return Subject(chosen, motion, configured)
     folder.mkdir(parents=True, exist_ok=True)
-    result = imitate(
-        demonstration,
-        robot,
-        method=method,
-        config=config,
-        duration_s=DURATION_S,
-        iterations=search.iterations,
-        population=search.population,
-        seed=search.seed,
-        checkpoint=checkpoint,
-        resume=checkpoint.is_file(),
-        progress=progress,
-        choice=search.choice,
-    )
-    if result.interrupted:
-        raise KeyboardInterrupt
+    known = {"method": method, "config": config, "duration_s": DURATION_S, "progress": progress}
+    result = searched(demonstration, robot, search, checkpoint, **known)
     result.motion.save(path)
     checkpoint.unlink(missing_ok=True)
     return Subject(chosen, result.motion, configured)
-
-
-def open_results(
-    path: Path,
-    experiment: str,
-    parts: str,
-    written: Sequence[str],
-    settings: Mapping[str, Any],
-    *,
-    resume: bool,
-    overwrite: bool,
-) -> WorkFolder:
-    """Checks a folder before long work, and writes its `environment.json`. `parts` is the subfolder of finished parts,
-    `written` the files made from them; `settings` must equal the earlier ones to resume. Raises `ConfigError` for both
-    `resume` and `overwrite`, `OutputError` if the folder holds other files or cannot be written."""
-    files = (*written, f"{parts}/*.json", f"{MOTIONS}/*.npz")
-    folder = WorkFolder(path, "an experiment", ENVIRONMENT, "settings", files, experiment)
-    folder.check(settings, resume=resume, overwrite=overwrite)
-    check_folder(path)
-    if overwrite:
-        folder.clear()
-    about = {"experiment": experiment, "settings": dict(settings), "versions": versions()}
-    write_json(path / ENVIRONMENT, about)
-    return folder
 
 
 def part_file(folder: Path, *names: str) -> Path:
@@ -182,7 +142,7 @@ def all_parts(folder: Path) -> list[Row]:
 
 def _read(path: Path) -> tuple[str, list[Row]]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = from_json(path.read_text(encoding="utf-8"))
         return str(found["digest"]), [dict(row) for row in found["rows"]]
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None

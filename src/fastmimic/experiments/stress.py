@@ -6,7 +6,7 @@ motion's start and the others from random phases, not perturbed otherwise. An ep
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Final
 
 import numpy as np
@@ -18,6 +18,7 @@ from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, check_unique
 from fastmimic.experiments.experiment import Subject
+from fastmimic.experiments.measurement import CAPTIONS
 from fastmimic.imitation.methods import method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -112,8 +113,7 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
 
 
 def sweep(subject: Subject, disturbance: str, robot: Robot, settings: StressSettings) -> list[Row]:
-    """Runs all levels of a disturbance or a terrain; a row for each, see `COLUMNS`. Raises `FastMimicError` for an
-    unfit motion."""
+    """Runs all levels of a disturbance or a terrain; a row of `COLUMNS` for each. Raises `FastMimicError`."""
     kind, motion = swept(disturbance), subject.motion
     seconds = check_length(motion, [disturbance], settings)
     start = nominal_start(settings.episodes)
@@ -185,12 +185,10 @@ def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) ->
         nominal = [row["reward_mean"] for row in own if row["value"] == swept(row["disturbance"]).nominal]
         success = max(t.nominal_success for t in found if t.method == m)
         said.append(f"{method_named(m).label} {float(np.mean(nominal)):.3f}, {success:.0%} without a fall")
-    first = rows[0]
-    unfinished = f" **Unfinished: {missing} sweeps are missing.**" if missing else ""
+    told = asdict(settings) | {name: rows[0][name] for name in ("motion", "duration_s")}
     lines = [
-        f"`{first['motion']}` on {settings.robot} in {settings.simulator}, controller told the {settings.observe};"
-        f" withstood: at least {SUCCESS:.0%} of {settings.episodes} episodes of {first['duration_s']:g} s without a"
-        f" fall.{unfinished}",
+        CAPTIONS["stress"].format(success=SUCCESS, **told)
+        + (f" **Unfinished: {missing} sweeps are missing.**" if missing else ""),
         "",
         *markdown_table(["disturbance", "tried", *(method_named(m).label for m in methods)], body),
         "",

@@ -22,6 +22,7 @@ from fastmimic.episode.plan import Start, episode_duration, perturbed_start
 from fastmimic.episode.rollout import run_log
 from fastmimic.experiments.comparison_run import Row
 from fastmimic.experiments.experiment import Subject, all_parts
+from fastmimic.experiments.measurement import CAPTIONS
 from fastmimic.identification.identify import identify
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
@@ -203,18 +204,13 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
         cells = [f"{simulated:.3f} ± {deviation:.3f}", *[""] * (len(stages) - 2)]
         change = f"{100 * (real / simulated - 1):+.0f} %"
         body.append(["turn (paper)", label, *cells, f"on the robot {real:.3f} ± {spread:.3f}", change])
-    about_identified = (
-        f"{IDENTIFIED.label}: the same with friction and payload that were identified from one other run of"
-        f" {IDENTIFICATION_S:g} s there."
-    )
-    first = rows[0]
+    but = " but what was identified" if IDENTIFIED in stages else ""
+    about = CAPTIONS["transfer"].format(trials=found[0].rewards.shape[1], but=but, **rows[0])
+    about_identified = CAPTIONS["identified"].format(label=IDENTIFIED.label, seconds=IDENTIFICATION_S)
     notes = [
-        f"Mean ± standard deviation over {found[0].rewards.shape[1]} trials of {first['duration_s']:g} s on"
-        f" {first['robot']}, from the same starts in every column; nothing is changed between the columns"
-        + (" but what was identified." if IDENTIFIED in stages else ".")
-        + (f" **Unfinished: {missing} of motion and method are missing.**" if missing else ""),
+        about + (f" **Unfinished: {missing} of motion and method are missing.**" if missing else ""),
         *(f"{stage.label}: {stage}." for stage in STAGES),
         *([about_identified] if IDENTIFIED in stages else []),
-        "The paper's row is another clip on another robot: for context only.",
+        CAPTIONS["transfer of the paper"],
     ]
     return "\n".join([*markdown_table(header, body), "", *(f"- {note}" for note in notes), ""])

@@ -211,16 +211,8 @@ def imitate(
     )
     if not chosen.optimises:
         return unoptimised
-    problem = make_problem(
-        robot,
-        given,
-        objective=objective,
-        config=config,
-        group=chosen.parameters,
-        workers=workers,
-        n_basis=n_basis,
-        moved=moved,
-    )
+    search = {"objective": objective, "config": config, "workers": workers}
+    problem = make_problem(robot, given, group=chosen.parameters, n_basis=n_basis, moved=moved, **search)
     prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
     motion = made_with(problem.motion(optimum.x), method, config, over)

@@ -1,12 +1,9 @@
 """`stitch`: joins several motions into one that the robot can execute (paper, "Motion stitching")."""
 
-import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -130,13 +127,8 @@ def stitch(
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, stage)
         found = [parts.values.get(id(m)) for m in motions]
         starts = [parameters_of(m) if own is None else own for m, own in zip(motions, found, strict=True)]
-        whole = StitchedProblem(
-            robot,
-            demonstration,
-            start=starts,
-            config=config,
-            group=needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts),
-        )
+        group = needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts)
+        whole = StitchedProblem(robot, demonstration, start=starts, config=config, group=group)
         given = whole.motion(whole.start)
     if chosen.optimises and whole is not None:
         settings["population"] = population or usual_population(len(whole.parameters))
@@ -203,30 +195,27 @@ def _optimised_parts(
     begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
     out = _Parts()
     distinct = list({id(m): m for m in motions}.values())
-    with _part_checkpoints(folder, copied=begun) as place:
-        todo = []
-        for i, motion in enumerate(distinct, start=1):
-            if motion.demonstration is not None:
-                continue
-            path = place / PART_CHECKPOINT.format(i) if place is not None else None
-            again = resume and path is not None and path.is_file()
-            if not again and folder is not None:
-                path = folder / PART_CHECKPOINT.format(i)
-            count = iterations if iterations is not None else settings["iterations"]
-            if begun and again:
-                assert path is not None
-                count = _iterations_before(motion, path, iterations)
-            todo.append((i, motion, path, again, count))
-        for i, motion, path, again, count in todo:
-            say(f"{motion.name} by itself, {i} of {len(distinct)}")
-            own = {**settings, "iterations": count, "duration_s": PART_DURATION_S}
-            found = imitate(motion, robot, checkpoint=path, resume=again, **own)
-            if found.interrupted:
-                raise KeyboardInterrupt
-            out.values[id(motion)] = {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
-            out.evaluations += found.evaluations
-            out.simulated_s += found.simulated_s
-            out.wall_s += found.wall_s
+    todo = []
+    for i, motion in enumerate(distinct, start=1):
+        if motion.demonstration is not None:
+            continue
+        path = folder / PART_CHECKPOINT.format(i) if folder is not None else None
+        again = resume and path is not None and path.is_file()
+        count = iterations if iterations is not None else settings["iterations"]
+        if begun and again:
+            assert path is not None
+            count = _iterations_before(motion, path, iterations)
+        todo.append((i, motion, path, again, count))
+    for i, motion, path, again, count in todo:
+        say(f"{motion.name} by itself, {i} of {len(distinct)}")
+        own = {**settings, "iterations": count, "duration_s": PART_DURATION_S}
+        found = imitate(motion, robot, checkpoint=path, resume=again, **own)
+        if found.interrupted:
+            raise KeyboardInterrupt
+        out.values[id(motion)] = {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
+        out.evaluations += found.evaluations
+        out.simulated_s += found.simulated_s
+        out.wall_s += found.wall_s
     out.passed_s = time.perf_counter() - began
     return out
 
@@ -240,21 +229,3 @@ def _iterations_before(motion: Motion, checkpoint: Path, wanted: int | None) -> 
             f" resume with --part-iterations {had} or without, or choose another output folder"
         )
     return had
-
-
-@contextmanager
-def _part_checkpoints(folder: Path | None, copied: bool) -> Iterator[Path | None]:
-    """The folder of the parts' checkpoints, or a temporary one with copies."""
-    if folder is None or not copied:
-        yield folder
-        return
-    with TemporaryDirectory() as copies:
-        for path in folder.glob(PART_CHECKPOINT.format("*")):
-            try:
-                shutil.copy(path, copies)
-            except OSError as error:
-                raise CheckpointError(f"{path}: cannot be read ({error.strerror or error})") from None
-        try:
-            yield Path(copies)
-        except CheckpointError as error:
-            raise CheckpointError(str(error).replace(copies, str(folder))) from None

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.configuration import check, documented, pack, parameter, record_fields
+from fastmimic.base.configuration import check, pack, record_fields, tabulated
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, record_dtype
 from fastmimic.robot import Robot
@@ -19,25 +19,17 @@ OBSERVATION_SIZE: Final = HISTORY * (IMU_SIZE + 12 + 12) + len(FRAMES) * FRAME_S
 ACTION_SIZE: Final = 12
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class PolicyConfig:
     """The interface between a policy and the robot. A policy works only with the one of its training."""
 
-    control_rate_hz: float = parameter(
-        500.0, unit="Hz", above=0.0, about="rate of joint targets, equal to the model-based controller's"
-    )
-    decimation: int = parameter(17, low=1, about="control steps per action; 17 at 500 Hz are 29.4 actions a second")
-    action_scale: float = parameter(0.25, unit="rad", above=0.0, about="joint target per unit of action")
-    filter_cutoff_hz: float = parameter(
-        4.0, unit="Hz", above=0.0, about="cutoff of the second-order Butterworth low-pass on actions"
-    )
-    stiffness: tuple[float, float, float] = parameter(
-        (100.0, 100.0, 100.0), unit="N·m/rad", about="stiffness of abduction, hip and knee"
-    )
-    damping: tuple[float, float, float] = parameter(
-        (1.0, 2.0, 2.0), unit="N·m·s/rad", about="damping of abduction, hip and knee"
-    )
+    control_rate_hz: float = 500.0
+    decimation: int = 17
+    action_scale: float = 0.25
+    filter_cutoff_hz: float = 4.0
+    stiffness: tuple[float, float, float] = (100.0, 100.0, 100.0)
+    damping: tuple[float, float, float] = (1.0, 2.0, 2.0)
 
     def __post_init__(self) -> None:
         check(self, "policy configuration: ")

@@ -63,16 +63,11 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         config: PolicyConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Args:
-            motion: as in `fastmimic.load_motion`.
-            robot: the robot, its name, or its MJCF.
-            duration_s: greatest length of an episode, s.
-            perturbed: whether episodes begin off the reference motion, as in an evaluation.
-            randomize: ranges for each episode's robot and ground, such as `friction=0.4:1.2`.
-            render_mode: None; `fastmimic render` makes videos.
-
-        Raises `FastMimicError` if there is no such robot, motion or range, or they do not fit together.
-        """
+        """`motion` is as in `fastmimic.load_motion`; `robot` is the robot, its name, or its MJCF; `duration_s` is the
+        greatest length of an episode, s; if `perturbed`, episodes begin off the reference motion, as in an evaluation.
+        `randomize` are ranges for each episode's robot and ground, such as `friction=0.4:1.2`; `render_mode` is None:
+        `fastmimic render` makes videos. Raises `FastMimicError` if there is no such robot, motion or range, or they do
+        not fit together."""
         self._make, self.observation_space, self.action_space = _prepared(
             1, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed
         )

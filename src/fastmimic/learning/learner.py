@@ -165,17 +165,14 @@ class Learner:
         actor = self._algorithm.get_policy()
         layers = [layer for layer in actor.mlp if hasattr(layer, "weight")]
         normaliser = actor.obs_normalizer
+        robot, motion, settings = self.episodes.robot, self.episodes.motion, self.settings
+        trained = robot.name, motion.name, motion.n_samples, _ACTIVATION, settings.policy, settings.seed
         return Policy(
             tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers),
             tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
             normaliser.mean.cpu().numpy(),
             (normaliser.std + normaliser.eps).cpu().numpy(),
-            self.episodes.robot.name,
-            self.episodes.motion.name,
-            self.episodes.motion.n_samples,
-            _ACTIVATION,
-            self.settings.policy,
-            self.settings.seed,
+            *trained,
             about or {},
         )
 

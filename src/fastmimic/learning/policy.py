@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError, PolicyError
-from fastmimic.base.files import read_arrays, replace_file
+from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.config import ControllerConfig, pack_config
-from fastmimic.control.gait import plan_leg
+from fastmimic.control.stance import plan_leg
 from fastmimic.episode.loop import MakeController
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
@@ -170,7 +170,7 @@ class Policy:
 
     @classmethod
     def _of(cls, arrays: dict[str, NDArray[Any]]) -> "Policy":
-        meta = dict(json.loads(str(arrays["meta_json"])))
+        meta = dict(from_json(str(arrays["meta_json"])))
         known: dict[str, Any] = {name: kind(meta.pop(name)) for name, kind in _PLAIN.items()}
         config = changed(PolicyConfig(), dict(meta.pop("config")), "policy configuration")
         del meta["observation_size"], meta["action_size"]  # the weights have them

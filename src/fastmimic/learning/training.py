@@ -124,9 +124,8 @@ def train(
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
     """
-    learner = Learner(
-        robot, motion, settings if settings is not None else TrainingSettings(), device=device, threads=threads
-    )
+    settings = settings if settings is not None else TrainingSettings()
+    learner = Learner(robot, motion, settings, device=device, threads=threads)
     try:
         return _Training(learner, folder, evaluate_every, progress).run(steps, resume)
     finally:

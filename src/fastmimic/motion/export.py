@@ -73,19 +73,20 @@ def export_motion(
 ) -> Frames:
     """Writes a motion, without its demonstration, for another trainer, over any existing file; returns the frames.
 
-    Args:
-        form: one of `EXPORTS`.
-        fps: frames a second; for a cycle the nearest rate that divides it evenly.
-        duration_s: length, s. If None: all of a motion; of a cycle one in a format that loops, else `REPEATED_S`.
-
-    Raises `ConfigError` for a bad argument, `MotionError` for another robot's motion, `OutputError` if writing fails.
+    `form` is one of `EXPORTS`; `fps` for a cycle the nearest rate that divides it evenly; `duration_s` the length, s,
+    if None all of a motion, of a cycle one in a format that loops, else `REPEATED_S`. Raises `ConfigError` for a bad
+    argument, `MotionError` for another robot's motion, `OutputError` if writing fails.
     """
     if form not in EXPORTS:
         raise unknown("format", form, EXPORTS)
     motion.check_robot(robot.name)
     looping = form == "deepmimic" and motion.cycle is not None and duration_s is None
     frames = sample(motion, fps, duration_s, looping=looping)
-    content = _deepmimic(frames, robot, looping) if form == "deepmimic" else _WRITERS[form](frames, robot)
+    if form == "deepmimic":
+        about = {"Robot": robot.name, "Joints": list(JOINT_NAMES)}
+        content = _framed("Wrap" if looping else "Clamp", frames.fps, about, _rows(frames))
+    else:
+        content = _WRITERS[form](frames, robot)
     replace_file(path, lambda file: file.write(content))
     return frames
 
@@ -151,11 +152,6 @@ def _csv(frames: Frames, _: Robot) -> bytes:
     for i, row in enumerate(_rows(frames)):
         lines.append(",".join(f"{value:.{DECIMALS}f}" for value in (i / frames.fps, *row)))
     return ("\n".join(lines) + "\n").encode()
-
-
-def _deepmimic(frames: Frames, robot: Robot, looping: bool) -> bytes:
-    about = {"Robot": robot.name, "Joints": list(JOINT_NAMES)}
-    return _framed("Wrap" if looping else "Clamp", frames.fps, about, _rows(frames))
 
 
 def _framed(loop: str, fps: float, about: dict[str, Any], rows: Array) -> bytes:

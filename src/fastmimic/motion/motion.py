@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import MotionError
-from fastmimic.base.files import read_arrays, replace_file
+from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.motion.provenance import Provenance
 
@@ -141,12 +141,16 @@ class Motion:
                 " your own), or retarget its clip"
             )
 
-    def save(self, path: str | Path) -> None:
-        """Writes an `.npz` without pickles and replaces an existing file only when complete; raises `OutputError`."""
+    def save(self, path: str | Path | BinaryIO) -> None:
+        """Writes an `.npz` without pickles, to a stream, or to a file, which is replaced only when complete; raises
+        `OutputError`."""
         arrays: dict[str, Any] = _to_arrays(self)
         if self.demonstration is not None:
             arrays |= {_DEMONSTRATION + k: v for k, v in _to_arrays(self.demonstration).items()}
-        replace_file(path, lambda file: np.savez_compressed(file, **arrays))
+        if isinstance(path, str | Path):
+            replace_file(path, lambda file: np.savez_compressed(file, **arrays))
+        else:
+            np.savez_compressed(path, **arrays)
 
     @classmethod
     def load(cls, path: str | Path | BinaryIO) -> "Motion":
@@ -155,7 +159,7 @@ class Motion:
         version = arrays.get("format_version")
         if version is None:
             raise MotionError(f"{path}: an .npz without 'format_version'; not a FastMimic motion")
-        if version.size != 1 or int(version) != FORMAT_VERSION:
+        if version.tolist() != FORMAT_VERSION:
             raise MotionError(f"{path}: format version {version}; this release reads version {FORMAT_VERSION}")
         try:
             return _from_arrays(arrays)
@@ -192,7 +196,7 @@ def _from_arrays(arrays: dict[str, Any]) -> Motion:
         rate_hz=float(arrays["rate_hz"]),
         **{name: arrays[name] for name in _ARRAYS},
         cycle=arrays["cycle"] if arrays["cycle"].size else None,
-        provenance=Provenance.from_dict(json.loads(str(arrays["meta_json"]))),
+        provenance=Provenance.from_dict(from_json(str(arrays["meta_json"]))),
         demonstration=_from_arrays(demonstration) if demonstration else None,
         parts=tuple(parts),
         animal=_from_arrays(animal) if animal else None,

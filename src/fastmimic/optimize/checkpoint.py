@@ -6,13 +6,13 @@ running an episode and checks that the replayed candidates equal the recorded on
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import CheckpointError
-from fastmimic.base.files import UNREADABLE, replace_file
+from fastmimic.base.files import UNREADABLE, open_arrays, replace_file
 
 FILE_NAME: Final = "checkpoint.npz"
 _VERSION: Final = 1
@@ -30,23 +30,15 @@ class Checkpoint:
 
     def save(self, path: str | Path) -> None:
         """Writes the checkpoint and replaces an earlier one; raises `OutputError` if it cannot."""
-        replace_file(
-            path,
-            lambda file: np.savez(
-                file,
-                version=np.int64(_VERSION),
-                identity=np.str_(self.identity),
-                candidates=self.candidates,
-                scores=self.scores,
-                elapsed_s=np.float64(self.elapsed_s),
-            ),
-        )
+        about: dict[str, Any] = {"version": np.int64(_VERSION), "identity": np.str_(self.identity)}
+        about |= {"candidates": self.candidates, "scores": self.scores, "elapsed_s": np.float64(self.elapsed_s)}
+        replace_file(path, lambda file: np.savez(file, **about))
 
     @classmethod
     def load(cls, path: str | Path, identity: str | None = None) -> "Checkpoint":
         """Reads a checkpoint; raises `CheckpointError` if it is missing, damaged, or not of the problem `identity`."""
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open_arrays(path) as file:
                 version = int(file["version"])
                 found = cls(str(file["identity"]), file["candidates"], file["scores"], float(file["elapsed_s"]))
         except FileNotFoundError:

@@ -209,8 +209,8 @@ class _Search:
         return saved.elapsed_s
 
     def _save(self, elapsed: float) -> None:
-        """Saves the course, if there are a file and a course; never replaces a longer one."""
-        if self.checkpoint is None or not self.scores or len(self.scores) < self.recorded:
+        """Saves the course, if there is a file; never replaces a course as long: a search that is only read stays."""
+        if self.checkpoint is None or len(self.scores) <= self.recorded:
             return
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 

@@ -86,6 +86,8 @@ class Problem(ABC):
             raise ConfigError(f"workers must be at least 1, found {workers}")
         self.robot = robot
         self.demonstration = demonstration
+        # without the animal's motion, whose reward the search does not ask for
+        self._scored = demonstration if demonstration.animal is None else replace(demonstration, animal=None)
         self.parameters = tuple(parameters)
         self.start = self.initial
         self.objective = objective
@@ -120,12 +122,6 @@ class Problem(ABC):
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds, (k,) each."""
         return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
-
-    @cached_property
-    def _scored(self) -> Motion:
-        """The demonstration, without the animal's motion, whose reward the search does not ask for."""
-        of = self.demonstration
-        return of if of.animal is None else replace(of, animal=None)
 
     @cached_property
     def identity(self) -> str:

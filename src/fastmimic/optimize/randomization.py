@@ -73,7 +73,7 @@ class Randomization:
     def check(self, episode_s: float) -> None:
         """Raises `ConfigError` if a push may come after the end of an episode, s."""
         latest = PUSH_TIME_S + PUSH_WINDOW_S + PUSH_DURATION_S
-        late = [r.name for r in self.over if r.timed]
+        late = [r.name for r in self.over if DISTURBANCES[r.name].timed]
         if late and episode_s < latest:
             raise ConfigError(
                 f"an episode of {episode_s:g} s may end before a push, which comes until {latest:g} s; leave out"

@@ -20,7 +20,6 @@ from fastmimic.base.rotations import (
     quat_from_rotvec,
     quat_from_yaw,
     quat_multiply,
-    rotate_planar,
     rotvec_from_quat,
     turned_about_z,
     yaw_from_quat,
@@ -37,7 +36,7 @@ from fastmimic.primitive.motion_dmp import foot_table
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout
+from fastmimic.stitching.transition import Layout
 
 _PLANAR = ("lin_vel", "ang_vel")
 
@@ -136,9 +135,7 @@ class StitchedProblem(Problem):
             share = self._trunk[i][:, None]
             angle = heading - yaw_from_quat(cycle["root_quat"])[at]
             for name in ("root_pos", *_PLANAR):
-                change = (candidate[name] - cycle[name])[:, at]
-                change[..., :2] = rotate_planar(angle, change[..., :2])
-                tables[name] += share * change
+                tables[name] += share * turned_about_z((candidate[name] - cycle[name])[:, at], angle)
             change = quat_multiply(quat_conjugate(cycle["root_quat"])[None], candidate["root_quat"])
             turn += share * rotvec_from_quat(change)[:, at]
         tables["root_quat"] = quat_multiply(tables["root_quat"], quat_from_rotvec(turn))
@@ -182,14 +179,8 @@ def make_problem(
             raise ConfigError(f"'{motion.name}' is a stitched motion, whose search begins at its own parts' optima")
         own = motion.provenance.stitched.parameters or {}
         names = {name.rpartition("/")[2]: value for name, value in own.items()}
-        return StitchedProblem(
-            robot,
-            demonstration,
-            start=own or None,
-            group=needed_group(group, names),
-            n_basis=n_basis,
-            **settings,
-        )
+        group = needed_group(group, names)
+        return StitchedProblem(robot, demonstration, start=own or None, group=group, n_basis=n_basis, **settings)
     dmp = MotionDmp.fit(demonstration, robot, n_basis)
     return ImitationProblem(robot, demonstration, dmp, group=group, moved=moved, **settings)
 

@@ -12,23 +12,13 @@ import numpy as np
 from fastmimic.base.errors import FastMimicError
 from fastmimic.play.live_reference import FRICTION, NEUTRAL
 from fastmimic.play.session import playable_methods
-from fastmimic.viewer.panel import (
-    Panel,
-    add_layer_boxes,
-    charts_window,
-    gait_strip,
-    leg_table,
-    plot_key,
-    plot_series,
-    reward_plot,
-)
+from fastmimic.viewer import panel
+from fastmimic.viewer.panel import Panel
 
 if TYPE_CHECKING:
-    import viser
-
-    from fastmimic.play.page import LiveHistory, LiveScene, Pacer
+    from fastmimic.play.page import LiveScene, PlayPage
     from fastmimic.viewer.take import Take
-    from fastmimic.viewer.web import Cameras
+    from fastmimic.viewer.viewer import Cameras
 
 _PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
 _SLIDERS: Final = {
@@ -49,20 +39,12 @@ _HIDDEN: Final = ("ghost", "names")  # at first; the ghost of a good follower is
 
 
 class PlayPanel(Panel):
-    """viser's GUI elements and their effects on the session that `pacer` runs."""
+    """viser's GUI elements and their effects on a page's session."""
 
-    def __init__(
-        self,
-        gui: "viser.GuiApi",
-        pacer: "Pacer",
-        history: "LiveHistory",
-        scene: "LiveScene",
-        cameras: "Cameras",
-        heading: str,
-    ) -> None:
+    def __init__(self, page: "PlayPage", cameras: "Cameras", heading: str) -> None:
+        gui = page.server.gui
         super().__init__(gui, heading)
-        self._pacer, self._history = pacer, history
-        self._session = pacer.session
+        self._pacer, self._history, self._session = page.pacer, page.history, page.session
         self._steering = (0.0, 0.0)
         self._mistake: str | None = None
         self._state = gui.add_html("")
@@ -73,7 +55,7 @@ class PlayPanel(Panel):
         self._add_modulation()
         self._add_push()
         self._add_world()
-        self._add_view(scene, cameras)
+        self._add_view(page.scene, cameras)
         self._add_keys()
         self._add_charts()
         self._limits: Any = None
@@ -83,8 +65,8 @@ class PlayPanel(Panel):
         row = take.rows - 1
         self._state.content = self._status()
         self._figures.content = self._numbers()
-        self._strip.content = gait_strip(take, row, now=1.0)
-        self._table.content = leg_table(take, row)
+        self._strip.content = panel.gait_strip(take, row, now=1.0)
+        self._table.content = panel.leg_table(take, row)
         if len(plot[0]) > 1:
             self._plot.data = plot
         self.show_limits()
@@ -212,7 +194,7 @@ class PlayPanel(Panel):
         with gui.add_folder("View", expand_by_default=False):
             pace: Any = gui.add_dropdown("time", tuple(_PACES))
             self._add_camera(cameras)
-            add_layer_boxes(gui, [scene], _HIDDEN)
+            panel.add_layer_boxes(gui, [scene], _HIDDEN)
 
         @pace.on_update
         def _(_event: Any) -> None:
@@ -253,11 +235,11 @@ class PlayPanel(Panel):
 
     def _add_charts(self) -> None:
         gui, plot = self._gui, self._history.plot()
-        with charts_window(gui, "Live"):
+        with panel.charts_window(gui, "Live"):
             self._strip = gui.add_html("")
             data = tuple(np.repeat(column, 2) for column in plot) if len(plot[0]) < 2 else plot
-            self._plot = reward_plot(gui, data, plot_series()[:-1], 170, legend=False)
-            gui.add_html(f'<div style="font-size:12px;line-height:1.5;padding:0 10px">reward: {plot_key()}</div>')
+            self._plot = panel.reward_plot(gui, data, panel.plot_series()[:-1], 170, legend=False)
+            gui.add_html(f'<div style="font-size:12px;line-height:1.5;padding:0 10px">reward: {panel.plot_key()}</div>')
             self._figures = gui.add_html("")
             with gui.add_folder("Legs in numbers", expand_by_default=False):
                 self._table = gui.add_html("")

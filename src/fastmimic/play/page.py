@@ -15,7 +15,7 @@ from fastmimic.play.live_panel import PlayPanel
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.scene import RobotScene
 from fastmimic.viewer.take import TRAIL_POINTS, TRAIL_S, Take
-from fastmimic.viewer.web import DEFAULT_PORT, FRAMES_PER_S, Cameras, WebPage
+from fastmimic.viewer.viewer import DEFAULT_PORT, FRAMES_PER_S, Cameras, WebPage
 
 if TYPE_CHECKING:
     import viser
@@ -201,7 +201,7 @@ class PlayPage(WebPage):
         self.history = LiveHistory(session)
         self.scene = LiveScene(self.server, self.history)
         cameras = Cameras(self.server, session.robot, [0.0], 0.0)
-        self.panel = PlayPanel(self.server.gui, self.pacer, self.history, self.scene, cameras, heading)
+        self.panel = PlayPanel(self, cameras, heading)
         self._charts_at = 0.0
         self.draw()
 

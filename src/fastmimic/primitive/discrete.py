@@ -129,8 +129,11 @@ class DiscreteDmp:
 
     @cached_property
     def widths(self) -> Array:
-        """Widths h (n_basis,) of the basis functions."""
-        return _widths(self.centres)
+        """Widths h (n_basis,) of the basis functions: 1/√(2h) is the distance to the next one."""
+        if self.n_basis == 1:
+            return np.ones(1)
+        gap = self.centres[:-1] - self.centres[1:]
+        return 0.5 * np.append(gap, gap[-1]) ** -2.0
 
     def forcing(self, phase: Array | float) -> Array:
         """f at canonical phases x (...) → (..., d)."""
@@ -153,14 +156,6 @@ class DiscreteDmp:
         """y (t, d) at `n_samples` times from start to end; `goal` and `amplitude` (d,) modulate it."""
         rest, pull, shape = self.course(n_samples)
         return rest + pull * (self.goal if goal is None else goal) + amplitude * shape
-
-
-def _widths(centres: Array) -> Array:
-    """h (n,): 1/√(2h) is the distance to the next function."""
-    if len(centres) == 1:
-        return np.ones(1)
-    gap = centres[:-1] - centres[1:]
-    return 0.5 * np.append(gap, gap[-1]) ** -2.0
 
 
 def _basis(x: Array, centres: Array, widths: Array) -> Array:

@@ -155,7 +155,9 @@ def _fitted_weights(centres: Array, deviation: Array, ridge: float, alpha: float
     harmonics = _filtered(basis, alpha)
     finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
     response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)
-    weights = least_squares(response, deviation, ridge, alpha**2 / 4).T
+    n = len(centres)
+    normal = product(response.T, response) / t + ridge / (n * (alpha**2 / 4) ** 2) * np.eye(n)
+    weights = solve_banded(in_band(normal), product(response.T, deviation) / t).T
     # the basis sums to one, so this only removes the mean of f
     return weights - product(weights, basis.mean(axis=0)[:, None])
 
@@ -236,13 +238,6 @@ def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) 
     if not np.all(np.isfinite(y)):
         raise MotionError(f"sample {int(np.argwhere(~np.isfinite(y))[0][0])} of {what} is not finite")
     return y
-
-
-def least_squares(response: Array, wanted: Array, ridge: float, gain: float) -> Array:
-    """Weights (n, d) of n functions with `response` (t, n) nearest to `wanted` (t, d); `gain` is that of the spring."""
-    t, n = response.shape
-    normal = product(response.T, response) / t + ridge / (n * gain**2) * np.eye(n)
-    return solve_banded(in_band(normal), product(response.T, wanted) / t)
 
 
 def product(a: Array, b: Array) -> Array:

@@ -29,8 +29,8 @@ from fastmimic.reference.table import reference_table
 from fastmimic.retargeting.track import steps
 from fastmimic.robot import Robot
 from fastmimic.stitching.join import default_cycles, stitch_motions
-from fastmimic.stitching.layout import Layout
 from fastmimic.stitching.switch import Cycle
+from fastmimic.stitching.transition import Layout
 
 COURSE: Final = record_dtype(
     [

@@ -64,13 +64,8 @@ def limits_of(course: NDArray[Any], joint_vel: NDArray[np.float64], robot: Robot
 
 
 _RATES: Final = {
-    "lin_vel": 1,
-    "ang_vel": 1,
-    "travel": 1,
-    "lin_acc": 2,
-    "ang_acc": 2,
-    "leg_lin_acc": 2,
-    "leg_ang_acc": 2,
+    **dict.fromkeys(("lin_vel", "ang_vel", "travel"), 1),
+    **dict.fromkeys(("lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc"), 2),
 }
 _BLENDED: Final = ("step", "turn", "root_z", "tilt", *_RATES, "foot", "lift")
 

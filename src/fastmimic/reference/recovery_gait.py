@@ -6,18 +6,17 @@ regulator's gains along it are those of any reference motion.
 """
 
 from typing import Any, Final, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import (
     matrix_from_quat,
     quat_conjugate,
     quat_from_yaw,
     quat_multiply,
     quat_rotate,
+    rotate_planar,
     turned_about_z,
     yaw_from_quat,
 )
@@ -25,7 +24,7 @@ from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import GAINS, regulator_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
-from fastmimic.reference.table import SAMPLE, reference_table
+from fastmimic.reference.table import SAMPLE, once, reference_table
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
@@ -43,19 +42,11 @@ class RecoveryGaits(NamedTuple):
 
 
 NO_RECOVERY: Final = RecoveryGaits(np.zeros((1, 1), SAMPLE), np.zeros((1, 1), GAINS))
-_known: Final[WeakKeyDictionary[Motion, dict[tuple[Any, ...], RecoveryGaits]]] = WeakKeyDictionary()
 
 
+@once
 def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> RecoveryGaits:
-    """The trots of a motion, computed once: one for a cycle, one for each second of a passage."""
-    known = _known.setdefault(motion.target, {})
-    key = robot.content, robot.mass, robot.com_b.tobytes(), robot.inertia_b.tobytes(), config
-    if key not in known:
-        known[key] = _recovery_gaits(motion.target, robot, config)
-    return known[key]
-
-
-def _recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> RecoveryGaits:
+    """The trots of a motion's demonstration: one for a cycle, one for each second of a passage."""
     count = 1 if motion.cycle is not None else max(1, round(motion.period_s / PIECE_S))
     trots = [_trot(motion, part, robot) for part in np.array_split(np.arange(motion.n_samples), count)]
     tables = [reference_table(trot, robot) for trot in trots]
@@ -98,7 +89,7 @@ def _trot(motion: Motion, part: NDArray[np.int_], robot: Robot) -> Motion:
     foot[..., 2] = robot.foot_radius - height + np.where(contact, 0.0, lift * np.sin(np.pi * swung) ** 2)
     joints = np.unwrap(inverse_kinematics(robot, quat_rotate(quat_conjugate(tilt), foot))[0], axis=0)
     heading = turning * motion.dt * np.arange(n + 1, dtype=np.float64)
-    path = np.concatenate([np.zeros((1, 2)), np.cumsum(_turned(velocity, heading[:-1]) * motion.dt, axis=0)])
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(rotate_planar(heading[:-1], velocity) * motion.dt, axis=0)])
     return Motion(
         rate_hz=motion.rate_hz,
         root_pos_w=np.column_stack([path[:-1], np.full(n, height)]),
@@ -107,13 +98,7 @@ def _trot(motion: Motion, part: NDArray[np.int_], robot: Robot) -> Motion:
         joint_vel=differentiate(pad(joints, True), motion.dt),
         foot_pos_b=foot_positions(robot, joints),
         contact=contact,
-        root_lin_vel_w=np.column_stack([_turned(velocity, heading[:-1]), np.zeros(n)]),
+        root_lin_vel_w=np.column_stack([rotate_planar(heading[:-1], velocity), np.zeros(n)]),
         root_ang_vel_w=np.tile([0.0, 0.0, turning], (n, 1)),
         cycle=np.array([*path[-1], heading[-1]]),
     )
-
-
-def _turned(vector: Array, angle: Array) -> Array:
-    """A vector (2,) turned by angles (n,)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]], axis=-1)

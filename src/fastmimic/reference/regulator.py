@@ -15,7 +15,6 @@ weight is Bᵀ P B with the cost-to-go P (Kuindersma et al. 2014).
 """
 
 from typing import Any, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from fastmimic.base.jit import floats, record_dtype
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, turned_about_z, yaw_from_quat
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator_config import RegulatorConfig
-from fastmimic.reference.table import GAIN_SAMPLES, reference_table
+from fastmimic.reference.table import GAIN_SAMPLES, once, reference_table
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import mass_ratio
 
@@ -42,17 +41,12 @@ GAINS: Final = record_dtype(floats(trunk=(6, STATES), weight=(6, 6), feet=(8, ST
 minus the gain times the state; the weight of what is missing of the former, relative to `linear_cost`; the time until
 feet touch down next, s, 0 if none does, and their side: from −1, all on the right, to 1."""
 
-_known: Final[WeakKeyDictionary[Motion, dict[tuple[Any, ...], NDArray[Any]]]] = WeakKeyDictionary()
 
-
+@once
 def motion_gains(motion: Motion, robot: Robot, config: RegulatorConfig) -> NDArray[Any]:
-    """`regulator_gains` (g,) of a motion's demonstration, computed once."""
-    known = _known.setdefault(motion.target, {})
-    key = robot.content, robot.mass, robot.com_b.tobytes(), robot.inertia_b.tobytes(), config
-    if key not in known:
-        turn = None if motion.target.cycle is None else float(motion.target.cycle[2])
-        known[key] = regulator_gains(reference_table(motion.target, robot), robot, config, motion.dt, turn)
-    return known[key]
+    """`regulator_gains` (g,) of a motion's demonstration."""
+    turn = None if motion.cycle is None else float(motion.cycle[2])
+    return regulator_gains(reference_table(motion, robot), robot, config, motion.dt, turn)
 
 
 def regulator_gains(
@@ -104,14 +98,6 @@ def _until_landing(stands: NDArray[np.bool_], step: Array, periodic: bool, side:
     swings = ~stands[at - 1] & stands[at]
     sides[known] = (swings * side).sum(axis=1) / swings.sum(axis=1)
     return found, sides
-
-
-def constant_gains(position: Array, velocity: Array, weight: Array) -> NDArray[Any]:
-    """The paper's feedback (eq. 1), (1,) of `GAINS`: k_p (6,), k_d (6,) and the diagonal of Q (6,)."""
-    gains = np.zeros(1, GAINS)
-    gains["trunk"][0, :, :6], gains["trunk"][0, :, 6:12] = np.diag(position), np.diag(velocity)
-    gains["weight"][0] = np.diag(weight)
-    return gains
 
 
 def _state_cost(config: RegulatorConfig) -> Array:

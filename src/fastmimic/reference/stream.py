@@ -27,7 +27,8 @@ the next course at row `entry`; −1 for never. `left` and `synced` say whether 
 MODULATION: Final = record_dtype(floats(speed=(), turn=(), lift=(), speed_rate=()))
 """Factor on the phase's rate, added turn rate, rad/s, factor on the swing height, rate of change of the first, 1/s."""
 
-_WORK: Final = record_dtype(floats(feet=(3, 4, 3), joints=(3, 12), tilt=4))
+_WORK: Final = record_dtype(floats(dt=(), geometry=(4, 12), lower=12, upper=12, feet=(3, 4, 3), joints=(3, 12), tilt=4))
+"""The control step, s, the robot's legs and joint limits, rad, and work memory."""
 
 
 def make_place() -> Records:
@@ -41,10 +42,10 @@ class Stream:
     """Fills tables of one robot's reference. Not thread-safe."""
 
     def __init__(self, robot: Robot, rate_hz: float) -> None:
-        self._geometry = robot.geometry
-        self._limits = np.stack([robot.joint_lower, robot.joint_upper])
         self._dt = 1.0 / rate_hz
         self._work = np.zeros(1, _WORK)
+        self._work["dt"], self._work["geometry"] = self._dt, robot.geometry
+        self._work["lower"], self._work["upper"] = robot.joint_lower, robot.joint_upper
         self._scratch = make_place()
 
     def advance(
@@ -68,9 +69,7 @@ class Stream:
         """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame."""
         other = course if following is None else following
         self._scratch[0] = place[0]
-        _fill(
-            course, other, self._scratch[0], modulation[0], self._dt, self._geometry, self._limits, self._work[0], table
-        )
+        _fill(course, other, self._scratch[0], modulation[0], self._work[0], table)
 
 
 @kernel
@@ -110,17 +109,7 @@ def _advance(
 
 
 @kernel
-def _fill(
-    course: Any,
-    following: Any,
-    place: Any,
-    modulation: Any,
-    dt: float,
-    geometry: Array,
-    limits: Array,
-    work: Any,
-    table: Any,
-) -> None:
+def _fill(course: Any, following: Any, place: Any, modulation: Any, work: Any, table: Any) -> None:
     x0, y0, yaw0 = place.pose[0], place.pose[1], place.pose[2]
     co, so = np.cos(yaw0), np.sin(yaw0)
     beyond = False
@@ -129,14 +118,14 @@ def _fill(
             here = following if beyond else course
             if beyond:
                 place.exit = -1
-            _advance(here, following, place, modulation, dt, 1.0, False, 0.0, 0.0)
+            _advance(here, following, place, modulation, work.dt, 1.0, False, 0.0, 0.0)
             beyond = beyond or place.left == 1
         dx, dy = place.pose[0] - x0, place.pose[1] - y0
         here = following if beyond else course
         exit_row = -1 if beyond or place.position > place.exit else place.exit
-        _sample(here, following, exit_row, place.entry, place.position, modulation, dt, k == 0, work, table[k])
+        _sample(here, following, exit_row, place.entry, place.position, modulation, k == 0, work, table[k])
         if k == 0:  # planning ahead needs only forces and feet
-            _joints(geometry, limits, dt, work, table[k])
+            _joints(work, table[k])
         _place(co * dx + so * dy, -so * dx + co * dy, place.pose[2] - yaw0, table[k])
         table[k].sync = place.synced if k > 0 else 0
 
@@ -212,7 +201,6 @@ def _sample(
     entry: int,
     position: float,
     modulation: Any,
-    dt: float,
     neighbours: bool,
     work: Any,
     out: Any,
@@ -270,16 +258,17 @@ def _to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: 
 
 
 @kernel
-def _joints(geometry: Array, limits: Array, dt: float, work: Any, out: Any) -> None:
+def _joints(work: Any, out: Any) -> None:
     """Joints by inverse kinematics; their velocity and acceleration by central differences."""
+    dt = work.dt
     for k in range(3):
         for leg in range(4):
             foot = work.feet[k, leg]
-            a, h, e, _ = leg_inverse(geometry[leg], foot[0], foot[1], foot[2])
+            a, h, e, _ = leg_inverse(work.geometry[leg], foot[0], foot[1], foot[2])
             j = 3 * leg
             work.joints[k, j], work.joints[k, j + 1], work.joints[k, j + 2] = a, h, e
             for i in range(j, j + 3):
-                work.joints[k, i] = min(max(work.joints[k, i], limits[0, i]), limits[1, i])
+                work.joints[k, i] = min(max(work.joints[k, i], work.lower[i]), work.upper[i])
     for j in range(12):
         before, now, after = work.joints[0, j], work.joints[1, j], work.joints[2, j]
         out.joint_pos[j] = now

@@ -5,8 +5,9 @@ period's origin in the world (x, y, yaw). At each wrap the origin moves by the p
 cycle (a cyclic motion's wrap, or a stitched one's sample with `sync`) its x and y, never its yaw, follow the robot.
 """
 
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, Final, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -29,6 +30,8 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.ground import ground_demand
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
+
+_Result = TypeVar("_Result")
 
 SAMPLE: Final = record_dtype(
     [
@@ -81,7 +84,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
         for name in ("leg_lin_acc", "leg_ang_acc"):
             table[name] = demonstration[name]
     else:
-        linear, angular = _remembered(motion, robot)
+        linear, angular = ground_acceleration(motion, robot)
         table["leg_lin_acc"] = turned_about_z(linear, -yaw0) - table["lin_acc"]
         table["leg_ang_acc"] = turned_about_z(angular, -yaw0) - table["ang_acc"]
     table["sync"][origin.cycle_starts] = 1
@@ -103,17 +106,22 @@ def put_root(
         table[f"{name}_acc"] = _difference(table[f"{name}_vel"], demonstration.dt, turn)
 
 
-_known: Final[WeakKeyDictionary[Motion, WeakKeyDictionary[Robot, tuple[Array, Array]]]] = WeakKeyDictionary()
+def once(compute: Callable[..., _Result]) -> Callable[..., _Result]:
+    """A function of a motion's demonstration, a robot and settings, computed once: none of them changes."""
+    known: WeakKeyDictionary[Motion, dict[tuple[Any, ...], _Result]] = WeakKeyDictionary()
+
+    @wraps(compute)
+    def found(motion: Motion, robot: Robot, *settings: Any) -> _Result:
+        of = known.setdefault(motion.target, {})
+        key = robot.content, robot.mass, robot.com_b.tobytes(), robot.inertia_b.tobytes(), *settings
+        if key not in of:
+            of[key] = compute(motion.target, robot, *settings)
+        return of[key]
+
+    return found
 
 
-def _remembered(motion: Motion, robot: Robot) -> tuple[Array, Array]:
-    """`ground_acceleration`, once: neither changes, and each table of a modulation has its demonstration's."""
-    known = _known.setdefault(motion, WeakKeyDictionary())
-    if robot not in known:
-        known[robot] = ground_acceleration(motion, robot)
-    return known[robot]
-
-
+@once
 def ground_acceleration(motion: Motion, robot: Robot) -> tuple[Array, Array]:
     """Linear (t, 3), m/s², and angular (t, 3), rad/s², world: a motion's ground wrench as rigid-body acceleration.
 

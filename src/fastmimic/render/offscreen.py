@@ -147,7 +147,9 @@ class Overlay:
             if plate is not None:
                 self._plates.append((plate, top + margin, left + margin))
         if legend is not None:
-            plate = _legend_plate(*legend, self._unit)
+            color, name = legend
+            font = _font(round(18 * self._unit))
+            plate = _plate([(name, font, _WHITE)], round(8 * self._unit), self._unit, color)
             self._plates.append((plate, height - plate.height - margin, width - plate.width - margin))
         half = max(1, round(1.5 * self._unit))  # of the bars between panels
         self._columns = [slice(at - half, at + half) for at in {left for left, *_ in cells} - {0}]
@@ -214,32 +216,25 @@ def _clock_plate(text: str, unit: float) -> "Image.Image":
     return _plate([(text, _font(round(18 * unit)), _WHITE)], round(8 * unit), unit)
 
 
-def _legend_plate(color: tuple[float, float, float], name: str, unit: float) -> "Image.Image":
-    from PIL import ImageDraw
-
-    pad, swatch = round(8 * unit), round(16 * unit)
-    plate = _plate([(name, _font(round(18 * unit)), _WHITE)], pad, unit, left=swatch + pad)
-    top = (plate.height - swatch) // 2
-    fill = (*(round(255 * c) for c in color), 255)
-    ImageDraw.Draw(plate).rounded_rectangle((pad, top, pad + swatch, top + swatch), radius=round(3 * unit), fill=fill)
-    return plate
-
-
 def _plate(
     lines: Sequence[tuple[str, "ImageFont.FreeTypeFont", tuple[int, int, int, int]]],
     pad: int,
     unit: float,
-    left: int = 0,
+    sample: tuple[float, float, float] | None = None,
 ) -> "Image.Image":
-    """A dark rounded plate with lines of text."""
+    """A dark rounded plate with lines of text, and at their left a sample of a colour."""
     from PIL import Image, ImageDraw
 
-    gap = round(5 * unit)
+    gap, side = round(5 * unit), round(16 * unit)
+    left = 0 if sample is None else side + pad
     heights = [sum(font.getmetrics()) for _, font, _ in lines]
     width = left + 2 * pad + max(int(np.ceil(font.getlength(text))) for text, font, _ in lines)
     plate = Image.new("RGBA", (width, sum(heights) + gap * (len(lines) - 1) + 2 * pad), (0, 0, 0, 0))
     draw = ImageDraw.Draw(plate)
     draw.rounded_rectangle((0, 0, plate.width - 1, plate.height - 1), radius=round(8 * unit), fill=_PLATE)
+    if sample is not None:
+        fill, top = (*(round(255 * c) for c in sample), 255), (plate.height - side) // 2
+        draw.rounded_rectangle((pad, top, pad + side, top + side), radius=round(3 * unit), fill=fill)
     y = pad
     for (text, font, color), height in zip(lines, heights, strict=True):
         draw.text((left + pad, y), text, font=font, fill=color)

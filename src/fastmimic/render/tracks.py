@@ -6,17 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base import rotations
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.rotations import (
-    quat_continuous,
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-    rotate_planar,
-    turned_about_z,
-    yaw_from_quat,
-)
 from fastmimic.clips.clip import Clip, Skeleton
 from fastmimic.motion.export import at_samples
 from fastmimic.motion.motion import Motion
@@ -84,7 +76,7 @@ def resample(track: Track, rate_hz: float, times: Array) -> Array:
     poses = track.pose
     bad = ~np.isfinite(poses).all(axis=1)
     poses = poses[: int(np.argmax(bad)) if bad.any() else len(poses)]
-    poses[:, 3:7] = quat_continuous(poses[:, 3:7])
+    poses[:, 3:7] = rotations.quat_continuous(poses[:, 3:7])
     between = _interpolated(poses, rate_hz * times)
     between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
     return between
@@ -142,16 +134,16 @@ def motion_track(
         n = min(n, motion.n_samples)
     sample = np.arange(n)
     position, quat, joint_pos, *_ = at_samples(motion, sample)
-    back = -float(yaw_from_quat(quat[0]))
-    position = turned_about_z(position - np.array([*position[0, :2], 0.0]), back)
-    quat = quat_multiply(quat_from_yaw(np.array([back])), quat)
+    back = -float(rotations.yaw_from_quat(quat[0]))
+    position = rotations.turned_about_z(position - np.array([*position[0, :2], 0.0]), back)
+    quat = rotations.quat_multiply(rotations.quat_from_yaw(np.array([back])), quat)
     return Track(position, quat, joint_pos, title, caption, ghost, motion.contact[sample % motion.n_samples])
 
 
 def world_feet(robot: Robot, pose: Array) -> Array:
     """Centres of the feet (t, 4, 3) at poses (t, 19), world, m."""
     feet = foot_positions(robot, np.ascontiguousarray(pose[:, 7:]))
-    return np.asarray(pose[:, None, :3] + quat_rotate(pose[:, None, 3:7], feet))
+    return np.asarray(pose[:, None, :3] + rotations.quat_rotate(pose[:, None, 3:7], feet))
 
 
 class Animal:
@@ -166,7 +158,9 @@ class Animal:
 
         def local(points_w: Array) -> Array:
             points = scale * points_w
-            points[..., :2] = rotate_planar(-source.heading[:, None], points[..., :2] - source.root_xy[:, None])
+            points[..., :2] = rotations.rotate_planar(
+                -source.heading[:, None], points[..., :2] - source.root_xy[:, None]
+            )
             points[..., 2] -= ground
             return points
 
@@ -192,7 +186,7 @@ def animal_track(
     """The first `duration_s` of a clip's animal, at the robot's size, on the path and at the rate of `motion`."""
     animal = Animal(clip, robot, motion)
     path = motion_track(motion.target, duration_s)
-    heading = yaw_from_quat(path.root_quat_wxyz)
+    heading = rotations.yaw_from_quat(path.root_quat_wxyz)
     points = np.array([animal.at(animal.body, i % motion.target.n_samples) for i in range(len(path.root_pos_w))])
-    points[..., :2] = path.root_pos_w[:, None, :2] + rotate_planar(heading[:, None], points[..., :2])
+    points[..., :2] = path.root_pos_w[:, None, :2] + rotations.rotate_planar(heading[:, None], points[..., :2])
     return AnimalTrack(points, animal.skeleton, title, caption)

@@ -1,5 +1,5 @@
-"""The MuJoCo scene of a video: the robot, its ghost, the ground and the light; and one panel of it, seen by a camera,
-with a shadow under the robot."""
+"""The MuJoCo scene of a video: the robot, its ghost, the light, and the ground, flat or a terrain; and one panel of it,
+seen by a camera, with a shadow under the robot."""
 
 from dataclasses import dataclass
 from importlib import resources
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.render.encoding import PREVIEW, Quality
 from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
-from fastmimic.render.video_ground import HAZE, TILE_M, TILES, add_ground, add_terrain
 from fastmimic.robot import Robot
+from fastmimic.simulation.mujoco_sim import floor_shapes
 from fastmimic.simulation.terrain import Terrain
 
 Rgba = tuple[float, float, float, float]
@@ -45,6 +45,14 @@ _LIGHT_DISTANCE: Final = 3.0  # m, from the point that the camera looks at
 _ZERO: Final = np.zeros(3)
 _UPRIGHT: Final = np.eye(3).ravel()
 _MAX_MARKS: Final = 400  # bones, trails and contacts drawn at once, with their shadows
+
+_CHECKER: Final = "checker"
+_TILES: Final = ("light tiles", "dark tiles")
+TILE_M: Final = 0.5  # edge of a ground tile
+_TILED_M: Final = 8.0  # reach of the tiles; the fog hides the rest
+_OVERLAP: Final = 0.05  # m
+_GROUND_M: Final = 22.0  # reach of the ground; the fog hides its edge
+_HAZE: Final = (0.93, 0.95, 0.97)
 
 
 def ghost_rgba(alpha: float = 0.36) -> Rgba:
@@ -86,9 +94,9 @@ def build_video_scene(
     is the ground, flat if None."""
     spec = _studio(width, height, quality)
     if terrain is None:
-        add_ground(spec, floor, quality, tile)
+        _add_ground(spec, floor, quality, tile)
     else:
-        add_terrain(spec, terrain, tile)
+        _add_terrain(spec, terrain, tile)
     for prefix in (_ROBOT, _GHOST)[: 1 + ghost]:
         spec.attach(_bare_robot(robot), prefix=prefix, frame=spec.worldbody.add_frame())
     model = spec.compile()
@@ -98,7 +106,7 @@ def build_video_scene(
         ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
         _make_ghost(model, ghost_geoms)
     follow = terrain is None and not quality.textured
-    tiles = tuple(int(model.geom(name).id) for name in TILES) if follow else ()
+    tiles = tuple(int(model.geom(name).id) for name in _TILES) if follow else ()
     casts_shadow = _main_geoms(model, robot_geoms) & (terrain is None)
     return VideoScene(model, robot_qpos, ghost_qpos, casts_shadow, quality, tiles, tile, terrain)
 
@@ -110,7 +118,7 @@ def _studio(width: int, height: int, quality: Quality) -> mujoco.MjSpec:
     visual.global_.offwidth, visual.global_.offheight = width, height
     facets.offsamples, facets.shadowsize = quality.samples, quality.shadow_map
     facets.numslices, facets.numstacks, facets.numquads = quality.facets, quality.facets // 2, 1
-    visual.rgba.fog = [*HAZE, 1]
+    visual.rgba.fog = [*_HAZE, 1]
     spec.lights[0].castshadow = quality.shadow_map > 0
     return spec
 
@@ -160,6 +168,91 @@ def _make_ghost(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> None:
     model.geom_matid[geoms] = -1
     model.geom_rgba[geoms] = ghost_rgba()
     model.geom_size[geoms] *= _GHOST_SHRINK
+
+
+def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float) -> None:
+    """A textured plane, or tiles of two colours side by side, faster on a processor: nothing is drawn twice."""
+    if quality.textured:
+        half = float(np.max(floor[1] - floor[0])) / 2 + _GROUND_M
+        spec.worldbody.add_geom(
+            name="ground",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            pos=[*np.round(floor.mean(axis=0) / (2 * tile)) * (2 * tile), 0],
+            size=[half, half, half],  # the third is the grid's spacing: one quad is enough without spotlights
+            material=_CHECKER,
+        )
+        _lay_checker(spec, tile, quality.reflectance)
+        return
+    for parity, (name, rgb) in enumerate(zip(_TILES, _tile_colours(spec), strict=True)):
+        vertices, faces = _checkered(tile, _TILED_M, parity)
+        if parity == 0:
+            vertices, faces = _framed(vertices, faces)
+        spec.add_mesh(
+            name=name,
+            uservert=vertices.ravel(),
+            userface=faces.ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            rgba=[*rgb, 1],
+            contype=0,
+            conaffinity=0,
+        )
+    spec.delete(spec.material(_CHECKER))
+    spec.delete(spec.texture(_CHECKER))
+
+
+def _add_terrain(spec: mujoco.MjSpec, terrain: Terrain, tile: float) -> None:
+    """The simulation's ground, checkered, or steps and stones of two colours by turns; and a sky, where it ends."""
+    sky, plain = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    spec.add_texture(name="sky", type=sky, builtin=plain, rgb1=_HAZE, rgb2=_HAZE, width=8, height=48)
+    _lay_checker(spec, tile, 0.0)
+    for k, shape in enumerate(floor_shapes(spec, terrain).values()):
+        look = {"rgba": [*_tile_colours(spec)[k % 2], 1]} if len(terrain.boxes) else {"material": _CHECKER}
+        spec.worldbody.add_geom(**shape, **look)
+
+
+def _lay_checker(spec: mujoco.MjSpec, tile: float, reflectance: float) -> None:
+    """Gives the checkered material, of video.xml, the tiles' size and the ground's reflectance."""
+    material = spec.material(_CHECKER)
+    material.texrepeat = [1 / tile, 1 / tile]  # a plane's texture spans two units of length, and two tiles
+    material.reflectance = reflectance
+
+
+def _tile_colours(spec: mujoco.MjSpec) -> Array:
+    """The light and the dark one, (2, 3), 0 to 1."""
+    texture = spec.texture(_CHECKER)
+    return np.array([texture.rgb1, texture.rgb2])
+
+
+def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[np.int32]]:
+    """Every other tile of a square of ± `reach` m: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
+    n = 2 * int(np.ceil(reach / (2 * tile)))
+    column, row = np.meshgrid(np.arange(-n, n), np.arange(-n, n))
+    low = np.stack([column, row], axis=-1)[(column + row) % 2 == parity] * tile
+    return _quads(low, low + tile)
+
+
+def _framed(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+    """Extends a square of tiles by the ground around it, which overlaps their edge to hide cracks."""
+    inner, outer = float(vertices[..., 0].max()) - _OVERLAP, _GROUND_M
+    low = np.array([[-outer, inner], [-outer, -outer], [-outer, -inner], [inner, -inner]])
+    high = np.array([[outer, outer], [outer, -inner], [-inner, inner], [outer, inner]])
+    more, their_faces = _quads(low, high)
+    more[..., 2] = -_OVERLAP / 10
+    return np.concatenate([vertices, more]), np.concatenate([faces, their_faces + 4 * len(vertices)])
+
+
+def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
+    """Rectangles on the ground between corners (k, 2) as vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
+    vertices = np.zeros((len(low), 4, 3))
+    vertices[:, :, 0] = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1)
+    vertices[:, :, 1] = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1)
+    first = 4 * np.arange(len(low))[:, None, None]
+    return vertices, (first + np.array([[0, 1, 2], [0, 2, 3]])).astype(np.int32)
 
 
 class CameraView:

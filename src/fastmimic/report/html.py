@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json
+from fastmimic.deploy.log import LOG
 from fastmimic.deploy.log import RESULT as DEPLOYMENT
 from fastmimic.experiments.comparison_run import POLICY
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS
@@ -24,7 +25,7 @@ def kind_of(folder: str | Path) -> str:
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
-    if (path / DEPLOYMENT).is_file():
+    if (path / DEPLOYMENT).is_file() or (path / LOG).is_file():
         return "deployment"
     if (path / ENVIRONMENT).is_file():
         return "results" if "experiment" in read_json(path / ENVIRONMENT) else "comparison"
@@ -49,9 +50,9 @@ def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | No
     path, kind = Path(folder), kind_of(folder)
     if importlib.util.find_spec("jinja2") is None:
         raise ConfigError("the report needs Jinja2, which is not installed: pip install 'fastmimic[report]'")
-    from fastmimic.report import html_comparison, html_deployment, html_run_page
+    from fastmimic.report import html_comparison, html_deployment, html_run
 
     if kind == "run":
-        return html_run_page.run_page(path, replay)
+        return html_run.run_page(path, replay)
     pages = {"comparison": html_comparison.comparison_page, "results": html_comparison.results_page}
     return pages.get(kind, html_deployment.deployment_page)(path)

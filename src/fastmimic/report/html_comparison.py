@@ -14,10 +14,10 @@ from fastmimic.base.files import packaged, read_json
 from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED
 from fastmimic.experiments.comparison_run import Row, finished_row
-from fastmimic.experiments.tables import Summary, summaries
+from fastmimic.experiments.measurement import Summary, summaries
 from fastmimic.imitation.methods import METHODS, method_named
-from fastmimic.report.html_page import HtmlReport, render
-from fastmimic.report.html_plots import Figure, Key, Plot, bar_marker, layout_of, numbers, points, rows_axis, rule
+from fastmimic.report import html_page as draw
+from fastmimic.report.html_page import Figure, HtmlReport, Key, Plot, numbers, render
 from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
 _TEXT: Final = ("motion", "method", "variant", "robot", "config", "parameters", "digest")
@@ -164,8 +164,6 @@ def rewards(found: Sequence[Summary]) -> Figure:
     return Figure(
         "rewards",
         title,
-        "Bars are means over the seeds with their sample standard deviation; a circle is one seed. The perturbed starts"
-        " are the same for every method, and no optimisation has seen them.",
         [_bars(found, measure) for measure in _MEASURES["rewards"]],
         1,
         (*map(_key, _methods(found)), _SEED),
@@ -177,8 +175,6 @@ def manners(found: Sequence[Summary]) -> Figure:
     return Figure(
         "manners",
         "Style and tracking: a reward that is got by shuffling shows here",
-        "Swing clearance of 100 % lifts the feet as the demonstration does; a style distance of 0 is its very step. A"
-        " line across a bar is the error before the optimisation.",
         [_bars(found, measure, height=270) for measure in _MEASURES["manners"]],
         2,
         (*map(_key, _methods(found)), _SEED, _BEFORE),
@@ -192,17 +188,16 @@ def cost(found: Sequence[Summary]) -> Figure | None:
         rows = [row for s in found if s.method == name for row in s.rows if row.get("cpu_s")]
         if rows:
             x, y = numbers([row["cpu_s"] for row in rows]), numbers([row["reward_mean"] for row in rows], 17)
-            trace = points(x, y, _key(name), "%{text}: reward %{y:.3f}, %{x:.3g} s")
+            trace = draw.points(x, y, _key(name), "%{text}: reward %{y:.3f}, %{x:.3g} s")
             trace["marker"]["line"] = {"width": 1, "color": "var(--paper)"}
             data.append({**trace, "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows]})
     if not data:
         return None
-    layout = layout_of("processor time (s)", "reward (0 to 1)", 330, hovermode="closest")
+    layout = draw.layout_of("processor time (s)", "reward (0 to 1)", 330, hovermode="closest")
     layout["xaxis"]["type"] = "log"
     return Figure(
         "cost",
         "What a reward costs: the processor time of each run, optimisation and evaluation",
-        "One point a run, on the machine named below. Methods that optimise nothing need only the evaluation.",
         [Plot("", data, layout)],
         1,
         [replace(_key(name), pattern=None) for name in _methods(found)],
@@ -228,23 +223,22 @@ def ablations(found: Sequence[Summary]) -> Figure:
             ("reward_mean_perturbed", _ROUGH, "perturbed starts", 8),
         ):
             means = numbers([np.nan if (mean := s.mean(column)) is None else mean for s in own], 17)
-            data.append(points(means, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size))
+            data.append(draw.points(means, names, key, f"%{{y}}: {hover} %{{x:.3f}}<extra></extra>", size=size))
         stds = numbers([s.std("reward_mean") or 0.0 for s in own])
         data[0]["error_x"] = {"type": "data", "array": stds, **_INK_BARS}
-        layout = layout_of("reward", "", 90 + 24 * len(variants), hovermode="closest")
-        layout["yaxis"] |= rows_axis([v or ABLATED for v in variants])
+        layout = draw.layout_of("reward", "", 90 + 24 * len(variants), hovermode="closest")
+        layout["yaxis"] |= draw.rows_axis([v or ABLATED for v in variants])
         whole = next((s.mean("reward_mean") for s in own if not s.variant), None)
         if whole is not None:
-            layout["shapes"] = [rule(_WHOLE, x=whole, width=1.2)]
+            layout["shapes"] = [draw.rule(_WHOLE, x=whole, width=1.2)]
         plots.append(Plot(motion, data, layout))
     return Figure(
         "ablation",
         title,
-        f"Each row is {method_named(ABLATED).label} with one part taken away or changed, optimised again. The scales"
-        " begin where the values do.",
         plots,
         2,
         (_NOMINAL, _ROUGH, _WHOLE),
+        told={"method": method_named(ABLATED).label},
     )
 
 
@@ -268,7 +262,7 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot
                 "y": numbers(means, 17),
                 "width": numbers([0.9 * width] * len(own)),
                 "customdata": [[s.motion, std] for s, std in zip(own, numbers(stds), strict=True)],
-                "marker": bar_marker(_key(name), fgopacity=0.7, size=7, solidity=0.25),
+                "marker": draw.bar_marker(_key(name), fgopacity=0.7, size=7, solidity=0.25),
                 "error_y": {"type": "data", "array": numbers(stds), "visible": any(stds), **_INK_BARS},
                 "hovertemplate": f"{label} on %{{customdata[0]}}: %{{y:.4g}} ± %{{customdata[1]:.2g}}<extra></extra>",
             }
@@ -284,9 +278,9 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot
                 y = measure.scale * was
                 ends = {"xref": "x", "yref": "y", "x0": x - 0.45 * width, "x1": x + 0.45 * width, "y0": y, "y1": y}
                 before.append({"type": "line", **ends, "line": {"color": "var(--ink)", "width": 2}})
-    seeds = points(numbers(dots[0]), numbers(dots[1], 17), _SEED, "%{text}: %{y:.4g}<extra></extra>", size=5)
+    seeds = draw.points(numbers(dots[0]), numbers(dots[1], 17), _SEED, "%{text}: %{y:.4g}<extra></extra>", size=5)
     data.append({**seeds, "text": dots[2]})
-    layout = layout_of("motion", measure.unit, height, hovermode="closest", barmode="overlay", shapes=before)
+    layout = draw.layout_of("motion", measure.unit, height, hovermode="closest", barmode="overlay", shapes=before)
     layout["xaxis"] |= {
         "tickmode": "array",
         "tickvals": list(range(len(motions))),
@@ -309,8 +303,8 @@ def _methods(found: Sequence[Summary]) -> list[str]:
 
 def _over_motions(found: Sequence[Summary], method: str, column: str) -> float:
     """Mean over the motions of a method's means; −1 without any."""
-    values = [s.mean(column) for s in found if s.method == method]
-    return float(np.mean([v for v in values if v is not None])) if any(v is not None for v in values) else -1.0
+    values = [mean for s in found if s.method == method and (mean := s.mean(column)) is not None]
+    return float(np.mean(values)) if values else -1.0
 
 
 def _change(found: Sequence[Summary], variant: str) -> float | None:

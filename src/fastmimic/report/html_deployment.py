@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.files import read_json
-from fastmimic.deploy.deployment import summary_rows
-from fastmimic.deploy.log import LOG, RESULT, DeploymentLog
+from fastmimic.deploy.account import robot_of, summary_rows, with_result
+from fastmimic.deploy.log import RESULT, DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.report.html_episodes import against_limit
-from fastmimic.report.html_page import HtmlReport, render
-from fastmimic.report.html_plots import Figure, Key, Plot, greatest, layout_of, numbers, time_plot
+from fastmimic.report.html_page import Figure, HtmlReport, Key, Plot, greatest, layout_of, numbers, render, time_plot
 
 ROBOT: Final = Key("the robot", "var(--after)")
 BINS: Final = 60
@@ -22,29 +21,35 @@ _SHOWN: Final = 99.9  # percentile at which the histograms end; the last bar hol
 
 
 def deployment_page(path: Path) -> HtmlReport:
-    """The page of a deployment's folder; raises `ConfigError`."""
-    about = read_json(path / RESULT)
-    try:
-        result = about["result"]
-        title = f"{about['motion']} on {about['robot']}, deployed by driver {about['driver']}"
-    except (KeyError, TypeError) as error:
-        raise ConfigError(f"{path / RESULT}: not the figures of a deployment ({error})") from None
+    """The page of a deployment's folder; raises `FastMimicError`."""
     missing: list[str] = []
     sections: dict[str, list[Figure]] = {"base": [], "times": [], "limits": []}
     try:
-        given = about.get("arguments", {}).get("log")
-        sections = _sections(DeploymentLog.load(Path(given) if given else path / LOG), result)
-    except DeploymentError as error:
-        missing.append(f"{error}: without the plots")
+        try:
+            log = DeploymentLog.load(path)
+            if "result" not in log.meta:
+                log = with_result(robot_of(log), log)
+            about = log.meta
+            sections = _sections(log, about["result"])
+        except DeploymentError as error:
+            if not (path / RESULT).is_file():
+                raise
+            missing.append(f"{error}: without the plots")
+            about = read_json(path / RESULT)
+        title = f"{about['motion']} on {about['robot']}, deployed by driver {about['driver']}"
+        summary = dict(summary_rows(about["result"]))
+        given = {name.replace("_", "-"): value for name, value in about.get("arguments", {}).items()}
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
     return render(
         "deployment.html",
         [figure for found in sections.values() for figure in found],
         title=title,
         missing=missing,
         about=about,
-        summary=dict(summary_rows(result)),
+        summary=summary,
         sections=sections,
-        arguments={k.replace("_", "-"): v for k, v in about["arguments"].items() if v not in (None, False, "", [])},
+        arguments={name: value for name, value in given.items() if value not in (None, False, "", [])},
     )
 
 
@@ -62,7 +67,7 @@ def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figu
         "base": [_base(time, span, log)],
         "times": [_periods(time, span, log), _histograms(rows)] if timed else [],
         "limits": [
-            against_limit(name, title, unit, time, [(values, ROBOT)], limit, span)
+            against_limit(name, title, unit, time, [(values, ROBOT)], limit, span, about="as measured")
             for name, title, unit, values, limit in loads
         ],
     }
@@ -80,7 +85,6 @@ def _base(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
     return Figure(
         "base",
         f"Height and tilt: at most {greatest(tilt):.2f} rad from the vertical",
-        "The height is the estimate, which there is while the controller is at work.",
         [
             time_plot("Height", "height of the base (m)", time, heights, span, height=240),
             time_plot("Tilt", "tilt (rad)", time, [(tilt, ROBOT)], span, height=240, peak=True),
@@ -105,7 +109,6 @@ def _periods(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figu
     return Figure(
         "periods",
         f"Periods{said if len(found) else ''}",
-        "The greatest value of so many periods that the page stays small.",
         [periods, age],
         2,
     )
@@ -134,7 +137,7 @@ def _histograms(rows: NDArray[Any]) -> Figure:
     return Figure(
         "histograms",
         f"What takes how long, in the median: {', '.join(said)}",
-        f"The last bar holds everything beyond the {_SHOWN:g}th percentile.",
         plots,
         2,
+        told={"percent": _SHOWN},
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,17 @@ from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.episode.rollout import Log
 from fastmimic.experiments.measurement import foot_courses
-from fastmimic.report import html_plots as draw
-from fastmimic.report.html_plots import BEFORE, DEMONSTRATION, LIMIT, ONLY, STANCE, Figure, Key, Plot, arrow, numbers
-from fastmimic.report.html_run import RerunEpisodes
+from fastmimic.report import html_page as draw
+from fastmimic.report.html_page import BEFORE, DEMONSTRATION, LIMIT, ONLY, STANCE, Figure, Key, Plot, arrow, numbers
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
+
+if TYPE_CHECKING:
+    from fastmimic.report.html_run import RerunEpisodes
 
 LOADED: Final = 0.05  # share of the robot's weight above which friction is plotted
 
 
-def feet(e: RerunEpisodes) -> list[Figure]:
+def feet(e: "RerunEpisodes") -> list[Figure]:
     """Height and fore-aft position of the four feet, two figures."""
     time, shown = e.times, _shown(e)
     drawn = _paths(e)
@@ -50,8 +52,6 @@ def feet(e: RerunEpisodes) -> list[Figure]:
             Figure(
                 name,
                 f"{what}: RMS error {arrow(rms, 1)} mm over the four feet",
-                "Realised paths against the demonstration that the reward compares with, until a fall; the panels have"
-                " one scale.",
                 plots,
                 4,
                 (DEMONSTRATION, *e.keys, STANCE),
@@ -60,18 +60,18 @@ def feet(e: RerunEpisodes) -> list[Figure]:
     return figures
 
 
-def _paths(e: RerunEpisodes) -> list[tuple[Array, Key]]:
+def _paths(e: "RerunEpisodes") -> list[tuple[Array, Key]]:
     """Realised paths of the feet and the demonstration's, (t, 4, 3) m, the first on top."""
     realised = [(foot_courses(rollout, e.robot)[1], key) for rollout, _, key in e.series]
     return [*realised, (e.log.demonstration["foot_pos"][0], DEMONSTRATION)]
 
 
-def _shown(e: RerunEpisodes) -> NDArray[np.bool_]:
+def _shown(e: "RerunEpisodes") -> NDArray[np.bool_]:
     start, end = e.first_window
     return (e.times >= start) & (e.times <= end)
 
 
-def paths(e: RerunEpisodes) -> Figure:
+def paths(e: "RerunEpisodes") -> Figure:
     """The feet from the side: fore-aft position against height."""
     shown, drawn = _shown(e), _paths(e)
     lifted = swing_clearance(e.motion.target, e.robot.foot_radius)
@@ -91,15 +91,14 @@ def paths(e: RerunEpisodes) -> Figure:
     return Figure(
         "paths",
         f"Feet from the side: every foot is lifted at least {arrow(least, 0)} % as high as in the demonstration",
-        f"{'From the first posture to the last' if e.done_once else 'One loop a cycle'}. What the animal's step looks"
-        " like is its shape; a motion that is only shuffled is flat. The scales of x and z differ.",
         plots,
         4,
         (DEMONSTRATION, *e.keys),
+        told={"course": "From the first posture to the last" if e.done_once else "One loop a cycle"},
     )
 
 
-def gait(e: RerunEpisodes) -> Figure:
+def gait(e: "RerunEpisodes") -> Figure:
     """Each leg's contact schedule, gait planner state, and measured load."""
     threshold = e.config.release_force(e.robot)
     rows = [
@@ -144,15 +143,14 @@ def gait(e: RerunEpisodes) -> Figure:
     return Figure(
         "gait",
         f"Gait: the legs are in the state that the motion wants {arrow(shares, 1)} % of the time",
-        f"Three bars a leg. A foot counts as loaded above {100 * e.config.gait.release_threshold:g} % of the weight"
-        f" ({threshold:.0f} N), below which the state machine takes it for free.",
         plots,
         len(plots),
         rows,
+        told={"share": 100 * e.config.gait.release_threshold, "force": threshold},
     )
 
 
-def reward(e: RerunEpisodes) -> Figure:
+def reward(e: "RerunEpisodes") -> Figure:
     """The reward and its five terms over time."""
     plots = []
     weights = reward_weights()
@@ -182,8 +180,6 @@ def reward(e: RerunEpisodes) -> Figure:
     return Figure(
         "reward",
         f"Reward over time: {seen}",
-        "The reward is the weighted sum of its terms, each 1 where the robot does exactly what the demonstration does;"
-        " after a fall it is 0. The vertical scales differ.",
         plots,
         3,
         e.keys,
@@ -194,7 +190,7 @@ def _short(key: Key) -> str:
     return "The robot" if key is ONLY else key.label.split(":")[0].capitalize()
 
 
-def limits(e: RerunEpisodes) -> list[Figure]:
+def limits(e: "RerunEpisodes") -> list[Figure]:
     """Joint torque and joint speed against the motors' limits, two figures."""
     torques, speeds = [], []
     for rollout, log, key in e.series:
@@ -203,13 +199,11 @@ def limits(e: RerunEpisodes) -> list[Figure]:
         torque[alive:] = speed[alive:] = np.nan
         torques.append((torque, key))
         speeds.append((speed, key))
-    cut = "Torque of the motor law at the start of each control step, cut off at the limit."
-    beyond = "The simulation does not cut speeds off: above the limit a real motor would not follow."
     return [
-        against_limit(*told, e.times, found, limit, e.whole_episode, hint, e.segment_lines)
-        for told, found, limit, hint in (
-            (("torque", "Motor torque", "N·m"), torques, e.robot.torque_limit, cut),
-            (("speed", "Joint speed", "rad/s"), speeds, e.robot.joint_speed_limit, beyond),
+        against_limit(*told, e.times, found, limit, e.whole_episode, e.segment_lines)
+        for told, found, limit in (
+            (("torque", "Motor torque", "N·m"), torques, e.robot.torque_limit),
+            (("speed", "Joint speed", "rad/s"), speeds, e.robot.joint_speed_limit),
         )
     ]
 
@@ -222,8 +216,8 @@ def against_limit(
     found: Sequence[tuple[Array, Key]],
     limit: Array,
     span: tuple[float, float],
-    hint: str = "",
     shapes: Sequence[dict[str, Any]] = (),
+    about: str = "",
 ) -> Figure:
     """The greatest value of the four legs, joint by joint, against the motors' `limit` (12,). `found` are the values
     (t, 12) of each series at `time` (t,), s, and its style; `span` are the times shown, s."""
@@ -249,14 +243,14 @@ def against_limit(
     return Figure(
         name,
         f"{title}: at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}",
-        f"The greatest absolute value among the four legs. {hint}".strip(),
         plots,
         3,
         (*(key for _, key in found), LIMIT),
+        about,
     )
 
 
-def friction(e: RerunEpisodes) -> Figure:
+def friction(e: "RerunEpisodes") -> Figure:
     """Tangential over normal force of each loaded foot."""
     loaded = LOADED * e.robot.mass * GRAVITY
     assumed, ground = e.config.stance.friction, GROUND_FRICTION
@@ -290,15 +284,14 @@ def friction(e: RerunEpisodes) -> Figure:
     return Figure(
         "friction",
         f"Friction use: {arrow(worst, 2)} at most for 95 % of the time on any foot; the ground has μ {ground:g}",
-        f"Only feet that carry more than {100 * LOADED:g} % of the weight ({loaded:.0f} N); gaps are swings. Where a"
-        " curve reaches the ground's μ the foot slides.",
         plots,
         4,
         (*e.keys, mu, real),
+        told={"share": 100 * LOADED, "force": loaded},
     )
 
 
-def solve_times(e: RerunEpisodes) -> Figure | None:
+def solve_times(e: "RerunEpisodes") -> Figure | None:
     """Duration of planning ahead; None without any."""
     data, legend, medians, worst = [], [], [], []
     for _, log, key in e.series:
@@ -316,11 +309,10 @@ def solve_times(e: RerunEpisodes) -> Figure | None:
     return Figure(
         "solve-times",
         f"Planning ahead takes {arrow(medians, 2)} ms in the median, 99 % stay below {arrow(worst, 2)} ms",
-        f"One point a plan, {e.config.horizon.solve_rate_hz:g} a second, measured while this page was made, on the"
-        " machine that made it.",
         [Plot("", data, layout)],
         1,
         legend,
+        told={"rate": e.config.horizon.solve_rate_hz},
     )
 
 

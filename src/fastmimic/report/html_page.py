@@ -1,25 +1,201 @@
-"""Pages: templates filled with data, in one self-contained file."""
+"""Pages: templates filled with data, in one self-contained file; and their plots, as plain Plotly: figures, series,
+lines and axes. Colours are names in the style sheet."""
 
 import base64
 import gzip
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import jinja2
+import numpy as np
 from markdown_it import MarkdownIt
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from fastmimic import __version__
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.base.files import write_text
+from fastmimic.base.files import packaged, write_text
 from fastmimic.base.text import NONE
 from fastmimic.imitation.methods import METHODS
-from fastmimic.report.html_plots import Figure
+
+_HINTS: Final = packaged("fastmimic.report", "hints.json", dict[str, str])
+
+
+@dataclass(frozen=True)
+class Key:
+    """A series: its name and style, in a plot and in the legend, as Plotly names them."""
+
+    label: str
+    color: str  # `var(--name)` of the style sheet
+    dash: str = "solid"
+    symbol: str = ""  # for points
+    pattern: str | None = None  # for an area or bars; "" for a plain one
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One plot: its title, Plotly traces, Plotly layout without the theme, and a note in small print."""
+
+    title: str
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Figure:
+    name: str  # its id in the page
+    title: str
+    plots: Sequence[Plot]
+    columns: int = 1  # of the plots on a wide page
+    legend: Sequence[Key] = ()
+    about: str = ""  # its entry in `hints.json`; empty for that of its name
+    told: Mapping[str, Any] = field(default_factory=dict)  # the values in that
+
+    @property
+    def hint(self) -> str:
+        """How to read it."""
+        return _HINTS[self.about or self.name].format(**self.told)
+
+
+BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
+AFTER: Final = Key("after: optimised", "var(--after)", "solid")
+ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
+DEMONSTRATION: Final = Key("demonstration", "var(--demo)", "dash")
+STANCE: Final = Key("stance wanted", "var(--stance)", pattern="")
+LIMIT: Final = Key("limit", "var(--limit)", "dashdot")
+POINTS: Final = 1000  # maximum of a curve: a page must open on a phone
+
+
+def greatest(values: Array) -> float:
+    """The greatest finite value; NaN without one."""
+    found = values[np.isfinite(values)]
+    return float(found.max()) if found.size else float("nan")
+
+
+def arrow(values: Sequence[float], digits: int) -> str:
+    return " → ".join(f"{v:.{digits}f}" if np.isfinite(v) else "–" for v in values)
+
+
+def curve(time: Array, values: Array, key: Key, *, peak: bool = False) -> dict[str, Any]:
+    """A line of at most `POINTS` points: regular samples or, with `peak`, the greatest in each interval."""
+    stride = -(-len(time) // POINTS)
+    if stride > 1 and peak:
+        whole = np.full(stride * -(-len(values) // stride), np.nan)
+        whole[: len(values)] = values
+        kept = np.fmax.reduce(whole.reshape(-1, stride), axis=1)
+    else:
+        kept = values[::stride]
+    return line(numbers(time[::stride]), kept, key, width=1.7)
+
+
+def line(x: Any, y: Any, key: Key, *, width: float = 2.0, **more: Any) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": key.label,
+        "x": x,
+        "y": numbers(y) if isinstance(y, np.ndarray) else y,
+        "line": {"color": key.color, "dash": key.dash, "width": width},
+        "hovertemplate": "%{y:.4g}",
+        **more,
+    }
+
+
+def points(x: Sequence[Any], y: Sequence[Any], key: Key, hover: str, *, size: float = 10) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": key.label,
+        "x": list(x),
+        "y": list(y),
+        "marker": {"symbol": key.symbol, "size": size, "color": key.color, "line": {"width": 1.8, "color": key.color}},
+        "hovertemplate": hover,
+    }
+
+
+def bar_marker(key: Key, **pattern: Any) -> dict[str, Any]:
+    shape = {"shape": key.pattern, "fillmode": "overlay", "fgcolor": "var(--paper)", **pattern}
+    return {"color": key.color, "line": {"width": 0}, "pattern": shape}
+
+
+def layout_of(
+    x: str,
+    y: str,
+    height: int = 240,
+    xrange: tuple[float, float] | None = None,
+    yrange: tuple[float, float] | None = None,
+    **more: Any,
+) -> dict[str, Any]:
+    xaxis: dict[str, Any] = {"title": {"text": x}}
+    yaxis: dict[str, Any] = {"title": {"text": y}}
+    for axis, shown in ((xaxis, xrange), (yaxis, yrange)):
+        if shown is not None:
+            axis["range"] = numbers(shown)
+    return {"height": height, "xaxis": xaxis, "yaxis": yaxis, **more}
+
+
+def time_plot(
+    title: str,
+    y: str,
+    time: Array,
+    found: Sequence[tuple[Array, Key]],
+    span: tuple[float, float],
+    yrange: tuple[float, float] | None = None,
+    *,
+    height: int = 230,
+    shapes: Sequence[dict[str, Any]] = (),
+    note: str = "",
+    peak: bool = False,
+) -> Plot:
+    """Series of values at the times (t,), s, the first one on top; see `curve` for `peak`."""
+    data = [curve(time, values, key, peak=peak) for values, key in reversed(found)]
+    return Plot(title, data, layout_of("time (s)", y, height, span, yrange, shapes=list(shapes)), note)
+
+
+def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    ends = np.append(time, time[-1])
+    style = {"fillcolor": STANCE.color, "line": {"width": 0}, "layer": "below"}
+    return [_upright("rect", float(ends[a]), float(ends[b]), style) for a, b in stretches(stance)]
+
+
+def rule(key: Key, *, x: float | None = None, y: float | None = None, width: float = 1.6) -> dict[str, Any]:
+    """A vertical line at `x`, or a horizontal one at `y`."""
+    line = {"color": key.color, "dash": key.dash, "width": width}
+    if x is not None:
+        return _upright("line", x, x, {"line": line})
+    return {"type": "line", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
+
+
+def _upright(kind: str, start: float, end: float, style: dict[str, Any]) -> dict[str, Any]:
+    """A shape as high as the plot."""
+    return {"type": kind, "xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1, **style}
+
+
+def rows_axis(names: Sequence[str]) -> dict[str, Any]:
+    """An axis of words, the first on top."""
+    return {
+        "type": "category",
+        "categoryorder": "array",
+        "categoryarray": list(names),
+        "range": [len(names) - 0.4, -0.6],
+        "tickmode": "linear",
+        "dtick": 1,
+    }
+
+
+def numbers(values: Any, digits: int = 5) -> list[float | None]:
+    """A list for JSON: `digits` significant digits, None for NaN and infinity."""
+    return [
+        float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=np.float64).tolist()
+    ]
 
 
 @dataclass(frozen=True)
@@ -46,7 +222,10 @@ def render(
         for i, plot in enumerate(figure.plots, start=1)
     }
     shared = {"title": title, "missing": tuple(missing), "plots": plots, "replay": replay}
-    return HtmlReport(_environment().get_template(template).render(**shared, **data), tuple(missing))
+    try:
+        return HtmlReport(_environment().get_template(template).render(**shared, **data), tuple(missing))
+    except jinja2.UndefinedError as error:
+        raise ConfigError(f"{title}: the folder's files hold other values than were written ({error})") from None
 
 
 def plotly_bundle() -> str:

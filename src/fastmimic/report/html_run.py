@@ -1,31 +1,39 @@
-"""The data of a run's page: its files, and its two nominal episodes, simulated again.
+"""The page of a run: its files, its two nominal episodes, simulated again, and what `run.html` shows of them.
 
 Episodes are not stored, since they follow exactly from `motion.npz` and `config.json`; the rewards in `metrics.json`
 check this.
 """
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
 import numpy as np
+from markupsafe import Markup
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError
 from fastmimic.base.files import read_json
+from fastmimic.base.text import NONE
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Log, Rollout
+from fastmimic.experiments.measurement import shown_window
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import Checkpoint
-from fastmimic.report.html_plots import AFTER, BEFORE, ONLY, Key, rule
+from fastmimic.report import html_episodes
+from fastmimic.report import html_page as draw
+from fastmimic.report.html_page import AFTER, BEFORE, ONLY, Figure, HtmlReport, Key, Plot, numbers, render
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, METRICS, MOTION, VIDEO, RunFolder
 
-CYCLES: Final = 2  # shown at first
-TRANSITION_S: Final = 2.0  # of a stitched motion, shown at first
+_FITTED: Final = Key("as fitted", "var(--before)", symbol="circle-open")
+_FOUND: Final = Key("found", "var(--after)", symbol="diamond")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,18 +87,7 @@ class RerunEpisodes:
     def segment_lines(self) -> list[dict[str, Any]]:
         """Lines between the segments of a stitched motion."""
         border = Key("", "var(--muted)", "dash")
-        return [rule(border, x=s / self.log.rate_hz, width=1) for s in self.motion.target.segment_starts if s]
-
-
-def shown_window(target: Motion, rollouts: Sequence[Rollout]) -> tuple[float, float]:
-    """The last cycles that a rollout with a log completed, or the first transition of a stitched motion, s."""
-    rate_hz, starts = rollouts[0].course.rate_hz, target.segment_starts
-    if len(starts) > 1:
-        start = max(0.0, starts[1] / rate_hz - TRANSITION_S / 2)
-        return start, min(rollouts[0].course.wanted.shape[1] / rate_hz, start + TRANSITION_S)
-    alive = max(int(rollout.steps[0]) for rollout in rollouts) / rate_hz
-    start = max(0.0, alive - CYCLES * target.period_s)
-    return start, max(alive, start + 0.1)
+        return [draw.rule(border, x=s / self.log.rate_hz, width=1) for s in self.motion.target.segment_starts if s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +100,24 @@ class RunData:
     missing: tuple[str, ...]  # a sentence for each missing thing and what is left out
 
 
+class _Figures(msgspec.Struct):
+    """What a page needs of `metrics.json`."""
+
+    motion: str
+    robot: str
+    reward: dict[str, Any]
+    fell: dict[str, Any]
+    parameters: list[dict[str, Any]]
+    duration_s: float
+
+
 def read_run(path: Path) -> RunData:
     """Reads a run's folder and simulates its episodes again; raises `ConfigError` if `metrics.json` is unusable."""
     metrics = read_json(path / METRICS)
-    lacking = [key for key in ("motion", "robot", "reward", "fell", "parameters", "duration_s") if key not in metrics]
-    if lacking:
-        raise ConfigError(f"{path / METRICS}: not the figures of a run ({', '.join(lacking)} missing)")
+    try:
+        msgspec.convert(metrics, _Figures)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path / METRICS}: not the figures of a run ({error})") from None
     missing: list[str] = []
     config: dict[str, Any] = {}
     try:
@@ -166,3 +175,209 @@ def _search(path: Path, parameters: int) -> Checkpoint:
     if found.candidates.shape[2] != parameters:
         raise ConfigError(f"{path} is of another run")
     return found
+
+
+def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlReport:
+    """The page of a run's folder; `replay` makes an HTML page that plays its episodes. Raises `ConfigError`."""
+    draw.plotly_bundle()  # before the episodes: without it there is no page
+    run = read_run(path)
+    missing, played = [*run.missing], ""
+    if replay is not None and run.episodes is not None:
+        try:
+            played = replay(run.episodes)
+        except FastMimicError as error:
+            missing.append(f"{error}: without the replay in 3D")
+    m, sections, controller = run.metrics, _sections(run), run.config.get("controller")
+    return render(
+        "run.html",
+        [figure for found in sections.values() for figure in found],
+        title=f"{m['motion']} on {m['robot']}",
+        missing=missing,
+        replay=played,
+        m=m,
+        e=run.episodes,
+        shown=_Metrics(m),
+        video=run.video,
+        sections=sections,
+        arguments=_arguments(run.config.get("arguments", {})),
+        about=_about(run),
+        controller=json.dumps(controller, indent=2, ensure_ascii=False) if controller else "",
+        legs=LEGS,
+    )
+
+
+class _Metrics:
+    """The figures of `metrics.json` for the page, with name and exact value as data."""
+
+    def __init__(self, metrics: Mapping[str, Any]) -> None:
+        self._metrics = metrics
+
+    def value(self, key: str) -> Any:
+        """A figure by its path, such as `reward.before` or `swing_clearance_m.after.2`; None if missing."""
+        found: Any = self._metrics
+        for name in key.split("."):
+            if isinstance(found, list):
+                found = found[int(name)] if int(name) < len(found) else None
+            else:
+                found = found.get(name) if isinstance(found, dict) else None
+        return found
+
+    def __call__(self, key: str, digits: int, scale: float = 1.0) -> Markup:
+        value = self.value(key)
+        if value is None:
+            return Markup(NONE)
+        text = ("yes" if value else "no") if isinstance(value, bool) else f"{scale * value:.{digits}f}"
+        return Markup('<data data-metric="{}" value="{}">{}</data>').format(key, repr(value), text)
+
+    def least_clearance(self, when: str) -> str:
+        """The smallest share of the demonstration's swing clearance among the swinging legs."""
+        wanted, got = self.value("swing_clearance_m.demonstration"), self.value(f"swing_clearance_m.{when}")
+        shares = [g / w for g, w in zip(got or [], wanted or [], strict=False) if g is not None and w]
+        return Markup("{:.0f} <small>%</small>").format(100 * min(shares)) if shares else NONE
+
+
+def _sections(run: RunData) -> dict[str, list[Figure]]:
+    m, e, optimisation = run.metrics, run.episodes, []
+    if run.search is not None:
+        optimisation.append(
+            convergence(
+                run.search,
+                m["reward"]["before"],
+                m["reward"]["after"],
+                unchanged=as_fitted(m["parameters"]),
+                randomized="randomization" in m,
+            )
+        )
+    if m["parameters"]:
+        optimisation.append(parameters(m["parameters"]))
+    sections: dict[str, list[Figure]] = {"optimisation": optimisation}
+    if e is None:
+        return sections | {"tracking": [], "terms": [], "limits": [], "times": []}
+    solved = html_episodes.solve_times(e)
+    return sections | {
+        "tracking": [*html_episodes.feet(e), html_episodes.paths(e), html_episodes.gait(e)],
+        "terms": [html_episodes.reward(e)],
+        "limits": [*html_episodes.limits(e), html_episodes.friction(e)],
+        "times": [] if solved is None else [solved],
+    }
+
+
+def _arguments(given: Mapping[str, Any]) -> dict[str, Any]:
+    arguments = {k.replace("_", "-"): v for k, v in given.items() if v is not False and v not in (None, "", [])}
+    for name in ("motions", "cycles"):
+        if name in arguments:
+            arguments[name] = " ".join(str(v) for v in arguments[name])
+    return {k: "yes" if v is True else v for k, v in arguments.items()}
+
+
+def _about(run: RunData) -> dict[str, Any]:
+    source, licence = run.config.get("source"), run.config.get("licence")
+    about: dict[str, Any] = {"motion": run.metrics["motion"], "robot": run.metrics["robot"]}
+    if isinstance(source, dict):
+        about |= {k: v for k, v in source.items() if isinstance(v, str | int | float)}
+    return about | ({"licence": licence} if licence else {})
+
+
+def convergence(
+    search: Checkpoint, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
+) -> Figure:
+    """Scores of the candidates by generation, and their spread; `before` and `after` are rewards of the run.
+    `unchanged` if the motion as fitted is the result, `randomized` if each iteration scored on other robots."""
+    scores = search.scores
+    k = np.arange(1, len(scores) + 1)
+    mean, std = scores.mean(axis=1), scores.std(axis=1)
+    best = scores.max(axis=1) if randomized else np.maximum.accumulate(scores.max(axis=1))
+    spread = search.candidates.std(axis=1).mean(axis=1)
+    x, mode = k.tolist(), "lines" if len(k) > 2 else "lines+markers"
+    band = Key("candidates, ± 1 std", "var(--band)", pattern="")
+    average = Key("candidates, mean", "var(--before)", "dot")
+    leader = Key("best of the iteration" if randomized else "best so far", "var(--after)", "solid")
+    start = Key("reward before", "var(--demo)", "dash")
+    data = [
+        draw.line(x, mean - std, Key("", "rgba(0,0,0,0)"), hoverinfo="skip"),
+        draw.line(x, mean + std, Key("", "rgba(0,0,0,0)"), fill="tonexty", fillcolor="var(--band)", hoverinfo="skip"),
+        draw.line(x, mean, average, mode=mode),
+        draw.line(x, best, leader, mode=mode),
+        draw.line([x[0], x[-1]], np.array([before, before]), start),
+    ]
+    drawn = np.concatenate([mean - std, best, [before]])
+    low, high = float(np.percentile(drawn, 2)), float(max(best.max(), before))
+    margin = 0.08 * max(high - low, 1e-3)
+    reward = draw.layout_of("iteration", "score (reward − penalty)", height=330, yrange=(low - margin, high + margin))
+    step = draw.layout_of("iteration", "spread (share of the range)", height=330)
+    step["yaxis"]["type"] = "log"
+    for layout in (reward, step):
+        layout["xaxis"] |= {"tickmode": "linear", "dtick": 1, "tick0": 0} if len(k) <= 10 else {}
+    gained = after - before
+    verb = "rises" if gained > 5e-4 else "falls" if gained < -5e-4 else "hardly changes"
+    effort = f"{len(k)} iteration{'s' if len(k) > 1 else ''}"
+    title = f"The reward {verb}: {before:.3f} before, {after:.3f} after {effort}"
+    if unchanged:
+        title = f"{effort.capitalize()} found nothing better than the motion as fitted (reward {after:.3f})"
+    return Figure(
+        "convergence",
+        title,
+        [
+            Plot("Score", data, reward),
+            Plot("Spread of the candidates", [draw.line(x, spread, leader, mode=mode)], step),
+        ],
+        2,
+        (leader, average, band, start),
+        "convergence over robots" if randomized else "",
+    )
+
+
+def as_fitted(found: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether the result is the motion as fitted, from the parameters of `metrics.json`."""
+    return all(p["value"] == p["initial"] for p in found)
+
+
+def parameters(found: Sequence[dict[str, Any]]) -> Figure:
+    """Baselines and amplitudes between their bounds, from the parameters of `metrics.json`."""
+    plots = []
+    for kind, measured, title, axis, unit, scale in (
+        ("goal", "m", "Baseline g", "change of the baseline (mm)", "mm", 1e3),
+        ("goal", "rad", "Baseline g of angles", "change of the baseline (°)", "°", float(np.degrees(1.0))),
+        ("amplitude", "1", "Amplitude a", "amplitude (1 = as fitted)", "", 1.0),
+    ):
+        own = [p for p in found if p["name"].endswith(f".{kind}") and p["unit"] == measured]
+        if not own:
+            continue
+        shift = [p["initial"] if kind == "goal" else 0.0 for p in own]
+        names = [p["name"].rsplit(".", 1)[0].replace("_foot_z", " foot z").replace("_", " ") for p in own]
+        ends: list[float | None] = []
+        for p, s in zip(own, shift, strict=True):
+            ends += [*numbers([scale * (p["lower"] - s), scale * (p["upper"] - s)]), None]
+        rows = [name for name in names for _ in range(3)]
+        data = [
+            {
+                **draw.line(ends, rows, Key("bounds", "var(--muted)")),
+                "mode": "lines+markers",
+                "marker": {"symbol": "line-ns-open", "size": 11, "color": "var(--muted)"},
+                "line": {"color": "var(--grid)", "width": 6},
+            },
+            *(
+                draw.points(
+                    numbers([scale * (p[value] - s) for p, s in zip(own, shift, strict=True)]),
+                    names,
+                    key,
+                    f"%{{y}}: %{{x:.4g}} {unit}".rstrip(),
+                    size=size,
+                )
+                for value, key, size in (("initial", _FITTED, 15), ("value", _FOUND, 10))
+            ),
+        ]
+        layout = draw.layout_of(axis, "", height=70 + 26 * len(own), hovermode="closest")
+        layout["yaxis"] |= {**draw.rows_axis(names), "showgrid": False}
+        plots.append(Plot(title, data, layout))
+    at = sum(min(p["value"] - p["lower"], p["upper"] - p["value"]) < 0.01 * (p["upper"] - p["lower"]) for p in found)
+    ending = "none at a bound" if not at else f"{at} at a bound, where the search would have gone further"
+    if as_fitted(found):
+        ending = "all as they were fitted"
+    return Figure(
+        "parameters",
+        f"What the optimiser chose: {len(found)} parameters, {ending}",
+        plots,
+        2,
+        (_FITTED, _FOUND, Key("bounds", "var(--grid)", pattern="")),
+    )

@@ -6,29 +6,23 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.configuration import documented, parameter
+from fastmimic.base.configuration import tabulated
 from fastmimic.motion.contacts import Stance, Stances, contact_mask, stances_of, swings_of
 
 PAIRINGS: Final = {"diagonal": ((0, 3), (1, 2)), "lateral": ((0, 2), (1, 3)), "transverse": ((0, 1), (2, 3))}
 """Legs that move together in a trot, a pace and a bound, as indices into FR, FL, RR, RL."""
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class ContactScheduleConfig:
     """How contacts are made a consistent schedule."""
 
-    same_stance: float = parameter(
-        0.62, about="two stances of a pair's legs count as one if they share this part of their union"
-    )
-    flight_s: float = parameter(
-        0.08, unit="s", about="shorter flights are closed: two edges of a 60 Hz recording do not resolve them"
-    )
-    swing_s: float = parameter(0.12, unit="s", about="shortest swing: motors need the time")
-    slide_m: float = parameter(
-        0.005, unit="m", scale="length", about="a leg that stands for a whole cycle and would slide further gets a step"
-    )
-    step_s: float = parameter(0.24, unit="s", about="duration of such a step")
+    same_stance: float = 0.62
+    flight_s: float = 0.08
+    swing_s: float = 0.12
+    slide_m: float = 0.005
+    step_s: float = 0.24
 
 
 @dataclass(frozen=True)

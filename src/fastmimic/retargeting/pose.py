@@ -29,23 +29,15 @@ _RISE_S: Final = 0.1  # the base rises for folded legs within this time, and sta
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """The robot's configuration, sample by sample, within its joint limits.
+    """The robot's configuration, sample by sample, within its joint limits."""
 
-    Attributes:
-        root_pos_w, root_quat_wxyz: (t, 3) m, and (t, 4).
-        joint_pos, foot_pos_b: (t, 12) rad, and the feet of those joints, (t, 4, 3) m.
-        unreachable: (t, 4) samples in which a leg was too short or too long.
-        limited: (t, 12) samples in which a joint was held at its limit.
-        lowered_m: distance by which the base was lowered for reach.
-    """
-
-    root_pos_w: Array
-    root_quat_wxyz: Array
-    joint_pos: Array
-    foot_pos_b: Array
-    unreachable: NDArray[np.bool_]
-    limited: NDArray[np.bool_]
-    lowered_m: float
+    root_pos_w: Array  # (t, 3) m
+    root_quat_wxyz: Array  # (t, 4)
+    joint_pos: Array  # (t, 12) rad
+    foot_pos_b: Array  # (t, 4, 3) m, the feet of those joints
+    unreachable: NDArray[np.bool_]  # (t, 4) samples in which a leg was too short or too long
+    limited: NDArray[np.bool_]  # (t, 12) samples in which a joint was held at its limit
+    lowered_m: float  # distance by which the base was lowered for reach
 
 
 def solve_pose(

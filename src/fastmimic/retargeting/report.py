@@ -26,73 +26,44 @@ MAX_CLOSURE_DEG: Final = 0.1
 
 @dataclass(frozen=True)
 class MotionFigures:
-    """Figures by which the animal's motion and the robot's are compared. Legs FR, FL, RR, RL.
+    """Figures by which the animal's motion and the robot's are compared. Legs FR, FL, RR, RL."""
 
-    Attributes:
-        period_s: duration; that of the robot is a whole number of control steps.
-        slip_m: largest horizontal motion of each foot within a stance.
-        closure_m: largest distance of a foot or the root from its position at the end of the cycle; 0 without a cycle.
-        closure_deg: the same for the trunk's orientation.
-        duty: share of the time in stance.
-        speed_m_per_s: length of the mean velocity as seen from the trunk.
-        yaw_deg: heading change over the motion (one cycle).
-        clearance_m: mean height of each leg's swings above its stance.
-    """
-
-    period_s: float
-    slip_m: Floats
-    closure_m: float
-    closure_deg: float
-    duty: Floats
-    speed_m_per_s: float
-    yaw_deg: float
-    clearance_m: Floats
+    period_s: float  # duration; that of the robot is a whole number of control steps
+    slip_m: Floats  # largest horizontal motion of each foot within a stance
+    closure_m: float  # largest distance of a foot or the root from its place at the cycle's end; 0 without one
+    closure_deg: float  # the same for the trunk's orientation
+    duty: Floats  # share of the time in stance
+    speed_m_per_s: float  # length of the mean velocity as seen from the trunk
+    yaw_deg: float  # heading change over the motion (one cycle)
+    clearance_m: Floats  # mean height of each leg's swings above its stance
 
 
 @dataclass(frozen=True)
 class RetargetReport:
-    """Retargeting of one clip.
+    """Retargeting of one clip."""
 
-    Attributes:
-        before, after: the animal at the robot's size, and the robot's motion.
-        scale: animal's to robot's size.
-        is_cycle, cycle_reason: whether the motion repeats, and why.
-        changes: of the contacts.
-        stances: number of stances of each leg.
-        support_share: share of the time with 0, 1, 2, 3 and 4 feet on the ground.
-        foot_path_rms_m: change of each foot's path in the world by planting.
-        foot_offset_m: constant shift of the feet against the hips: front and rear along x, front and rear outwards.
-        base_height_m, lowered_m: mean height of the base; its lowering for reach, negative if raised for folded knees.
-        unreachable: samples in which a leg could not reach, of `samples`.
-        joint_limited: samples in which a joint was held at its limit, for abduction, hip and knee.
-        samples: of the motion.
-        joint_speed_peak, joint_speed_limit: abduction, hip, knee, rad/s.
-        heading_aligned_deg: angle by which the trunk was turned into the direction of travel.
-        bounds: see `with_bounds`.
-        executable: of the optimal control problem, if the motion was made executable; the rest is about the kinematic
-            motion that it starts from.
-    """
-
-    before: MotionFigures
-    after: MotionFigures
-    scale: float
-    is_cycle: bool
-    cycle_reason: str
-    changes: ScheduleChanges
-    stances: Ints
-    support_share: Floats
-    foot_path_rms_m: Floats
-    foot_offset_m: Floats
-    base_height_m: float
-    lowered_m: float
-    unreachable: Ints
-    joint_limited: Ints
-    samples: int
-    joint_speed_peak: Floats
-    joint_speed_limit: Floats
-    heading_aligned_deg: float
-    bounds: tuple[RetargetBound, ...] = ()
+    before: MotionFigures  # the animal at the robot's size
+    after: MotionFigures  # the robot's motion
+    scale: float  # animal's to robot's size
+    is_cycle: bool  # whether the motion repeats
+    cycle_reason: str  # why
+    changes: ScheduleChanges  # of the contacts
+    stances: Ints  # number of stances of each leg
+    support_share: Floats  # share of the time with 0, 1, 2, 3 and 4 feet on the ground
+    foot_path_rms_m: Floats  # change of each foot's path in the world by planting
+    foot_offset_m: Floats  # shift of the feet against the hips: front and rear along x, then outwards
+    base_height_m: float  # mean
+    lowered_m: float  # of the base for reach, negative if raised for folded knees
+    unreachable: Ints  # samples in which a leg could not reach, of `samples`
+    joint_limited: Ints  # samples in which a joint was held at its limit, for abduction, hip and knee
+    samples: int  # of the motion
+    joint_speed_peak: Floats  # abduction, hip, knee, rad/s
+    joint_speed_limit: Floats  # likewise
+    heading_aligned_deg: float  # angle by which the trunk was turned into the direction of travel
+    bounds: tuple[RetargetBound, ...] = ()  # see `with_bounds`
     executable: ExecutableFigures | None = None
+    """Of the optimal control problem, if the motion was made executable; the rest is about the kinematic motion that it
+    starts from."""
 
     def as_dict(self) -> dict[str, Any]:
         found: dict[str, Any] = plain(asdict(self))

@@ -6,7 +6,7 @@ every clip. The steps are in these modules:
 
     track              keypoints → trunk and toe targets at the robot's size → a continuous motion, closed if a cycle
     contact_schedule   the detected contacts (`motion.contacts`) as a clean schedule
-    reach, feet        footholds within reach, and smooth swings between them
+    feet               footholds within reach, and smooth swings between them
     fit, pose          the trunk's height, and joints within their ranges
     steps              calls all of the above on one clip; without a cycle, the trunk no lower than folded legs allow
     fidelity, report   what changed
@@ -103,8 +103,9 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
         raise ConfigError(f"the rate of a motion must be positive, found {rate_hz} Hz")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise ConfigError(f"the scale must be positive, found {scale}")
-    if clip.n_frames < MIN_FRAMES:
-        raise ClipError(f"retargeting needs at least {MIN_FRAMES} frames, found {clip.n_frames}; choose a longer cut")
+    if min(clip.n_frames, round((clip.n_frames - 1) / clip.rate_hz * rate_hz)) < MIN_FRAMES:
+        found = f"{clip.n_frames} at {clip.rate_hz:g} Hz"
+        raise ClipError(f"retargeting needs at least {MIN_FRAMES} frames, found {found}; choose a longer cut")
 
 
 def is_one_cycle(clip: Clip) -> bool:

@@ -12,9 +12,8 @@ from fastmimic.clips.clip import Clip
 from fastmimic.motion.contacts import contact_mask, detect, foot_activity
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
-from fastmimic.retargeting.feet import plant_feet
+from fastmimic.retargeting.feet import Reach, foot_offsets, footholds, plant_feet
 from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
-from fastmimic.retargeting.reach import Reach, foot_offsets, footholds
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.track import (
     ScaledClip,
@@ -42,21 +41,15 @@ _SOFT_M: Final = 0.02  # range of the smooth blend to the lowest height
 class Retargeting:
     """State of one clip's retargeting. Each method is a step and relies on the previous ones.
 
-    Attributes:
-        source: the animal at the robot's size, as prepared so far.
-        periodic, cycle_reason: whether the clip is a cycle, and why.
-        straight, aligned: whether the gait is straight ahead, and the angle by which the heading was turned, rad.
-        own_body: whether the clip is this robot's own motion.
-        lowered, raised: of the base against the animal's height, m.
-        held: frames for which the last pose is held.
-        n, duration: samples of the motion, and duration of the clip, s.
-        activity, detected: (n, 4) of the feet, and their contacts.
-        track: trunk and toes on the motion's grid.
-        height: of the base, m.
-        stances, changes: the contact schedule and its changes.
-        offset: (4, 2) constant shifts of the feet against the hips, m.
-        raw_w: (n, 4, 3) the animal's foot paths under the track, world; z is the height above the ground, m.
-        pose, motion: of the robot with its feet planted; the motion is without provenance.
+    `source` is the animal at the robot's size, as prepared so far; `periodic` and `cycle_reason` whether the clip is a
+    cycle, and why; `straight` whether the gait is straight ahead; `aligned` the angle by which the heading was turned,
+    rad; `own_body` whether the clip is this robot's own motion. The base is `lowered` and `raised` against the
+    animal's height, m, and at `height`, m; the last pose is `held` for so many frames. The motion has `n` samples of
+    the clip's `duration`, s; `activity` and `detected` (n, 4) are the feet's, and their contacts; `track` has trunk
+    and toes on its grid; `stances` and `changes` are the contact schedule and its changes; `offset` (4, 2) constant
+    shifts of the feet against the hips, m; `raw_w` (n, 4, 3) the animal's foot paths under the track, world, with z
+    the height above the ground, m; `pose` and `motion` the robot's with its feet planted, the motion without
+    provenance.
     """
 
     def __init__(

@@ -27,29 +27,17 @@ from fastmimic.motion.motion import Motion
 
 @dataclass(frozen=True, eq=False)
 class ScaledClip:
-    """Trunk pose and toes of a clip at the robot's scale, frame by frame.
+    """Trunk pose and toes of a clip at the robot's scale, frame by frame."""
 
-    Attributes:
-        rate_hz: frames a second.
-        root_xy: (t, 2) middle of neck and pelvis, world, m.
-        root_z: (t,) its height above the ground on which the toes stand, m.
-        heading: (t,) rad, continuous.
-        tilt: (t, 2) roll and pitch, rad.
-        hip_height: mean height of hips and shoulders above the ground, m.
-        toe_from_hip: (t, 4, 2) horizontal hip→toe vectors in the heading frame, m.
-        toe_height: (t, 4) above each leg's own ground, m.
-        toe_speed: (t, 4) horizontal, world, m/s.
-    """
-
-    rate_hz: float
-    root_xy: Array
-    root_z: Array
-    heading: Array
-    tilt: Array
-    hip_height: float
-    toe_from_hip: Array
-    toe_height: Array
-    toe_speed: Array
+    rate_hz: float  # frames a second
+    root_xy: Array  # (t, 2) middle of neck and pelvis, world, m
+    root_z: Array  # (t,) its height above the ground on which the toes stand, m
+    heading: Array  # (t,) rad, continuous
+    tilt: Array  # (t, 2) roll and pitch, rad
+    hip_height: float  # mean height of hips and shoulders above the ground, m
+    toe_from_hip: Array  # (t, 4, 2) horizontal hip→toe vectors in the heading frame, m
+    toe_height: Array  # (t, 4) above each leg's own ground, m
+    toe_speed: Array  # (t, 4) horizontal, world, m/s
 
     def held(self, frames: int) -> "ScaledClip":
         """The recording with its last frame repeated `frames` times, at rest."""
@@ -146,24 +134,15 @@ Indices = NDArray[np.int_]
 
 @dataclass(frozen=True, eq=False)
 class TrunkTrack:
-    """Trunk and animal's foot paths on the output grid; the samples of a cycle repeat, moved by `cycle`.
+    """Trunk and animal's foot paths on the output grid; the samples of a cycle repeat, moved by `cycle`."""
 
-    Attributes:
-        root_xy, root_z: (t, 2) and (t,) world, m.
-        heading: (t,) rad, continuous.
-        tilt: (t, 2) roll and pitch, rad.
-        toe_from_hip: (t, 4, 2) in the heading frame, m.
-        toe_height: (t, 4) m.
-        cycle: (dx, dy, dyaw) in sample 0's heading frame, or None.
-    """
-
-    root_xy: Array
-    root_z: Array
-    heading: Array
-    tilt: Array
-    toe_from_hip: Array
-    toe_height: Array
-    cycle: Array | None
+    root_xy: Array  # (t, 2) world, m
+    root_z: Array  # (t,) world, m
+    heading: Array  # (t,) rad, continuous
+    tilt: Array  # (t, 2) roll and pitch, rad
+    toe_from_hip: Array  # (t, 4, 2) in the heading frame, m
+    toe_height: Array  # (t, 4) m
+    cycle: Array | None  # (dx, dy, dyaw) in sample 0's heading frame, or None
 
     @classmethod
     def of(cls, motion: Motion) -> "TrunkTrack":

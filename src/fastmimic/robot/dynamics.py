@@ -35,15 +35,10 @@ def _inertia_times(
     y = ca * v1 + sa * v2
     x = c * v0 - s * w
     z = s * v0 + c * w
-    return rotated(
-        sa,
-        ca,
-        s,
-        c,
-        inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z,
-        inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z,
-        inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z,
-    )
+    m0 = inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z
+    m1 = inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z
+    m2 = inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z
+    return rotated(sa, ca, s, c, m0, m1, m2)
 
 
 @inlined
@@ -56,12 +51,8 @@ def leg_inverse_dynamics(
     `model` is a record of `MODEL`; `omega` (3,) is the trunk's angular velocity, rad/s, and `acceleration` (3,) that of
     the base's origin minus gravity, m/s² (standing still: +9.81 upwards), both in the body frame.
     """
-    geometry, mass, com, inertia = (
-        model.geometry[leg],
-        model.link_mass[leg],
-        model.link_com[leg],
-        model.link_inertia[leg],
-    )
+    geometry, mass, com = model.geometry[leg], model.link_mass[leg], model.link_com[leg]
+    inertia = model.link_inertia[leg]
     ca, sa = np.cos(q[0]), np.sin(q[0])
     # each link's position: origin o, link frame Rx(a) Ry(theta); forces summed about the three joint axes
     ox, oy, oz = geometry[0], geometry[1], geometry[2]

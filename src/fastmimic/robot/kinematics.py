@@ -8,6 +8,7 @@ where d collects all lateral offsets (they commute with the two pitch rotations)
 abduction frame, and t and c are thigh and calf in their plane.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,20 +101,21 @@ def _inverse(rows: Array, p: Array, q: Array, reachable: Array) -> None:
             reachable[n, leg] = ok
 
 
+def _of_legs(compute: Callable[..., None], robot: "Robot", joint_pos: Array, *shape: int) -> Array:
+    q = np.ascontiguousarray(joint_pos, dtype=np.float64)
+    out = np.empty((q.size // 12, *shape))
+    compute(robot.geometry, q.reshape(-1, 12), out)
+    return out.reshape(*q.shape[:-1], *shape)
+
+
 def foot_positions(robot: "Robot", joint_pos: Array) -> Array:
     """Foot centres (..., 4, 3), body frame, m, at joint angles (..., 12), rad."""
-    q = np.ascontiguousarray(joint_pos, dtype=np.float64)
-    out = np.empty((q.size // 12, 4, 3))
-    _forward(robot.geometry, q.reshape(-1, 12), out)
-    return out.reshape(*q.shape[:-1], 4, 3)
+    return _of_legs(_forward, robot, joint_pos, 4, 3)
 
 
 def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
     """Jacobians (..., 4, 3, 3), m/rad, of each foot (body frame) by its leg's joints, at angles (..., 12), rad."""
-    q = np.ascontiguousarray(joint_pos, dtype=np.float64)
-    out = np.empty((q.size // 12, 4, 3, 3))
-    _jacobians(robot.geometry, q.reshape(-1, 12), out)
-    return out.reshape(*q.shape[:-1], 4, 3, 3)
+    return _of_legs(_jacobians, robot, joint_pos, 4, 3, 3)
 
 
 def inverse_kinematics(robot: "Robot", foot_pos_b: Array) -> tuple[Array, NDArray[np.bool_]]:

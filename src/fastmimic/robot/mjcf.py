@@ -1,6 +1,11 @@
 """Reads a `Robot` from an MJCF model. The legs are recognised by geometry, not by names."""
 
 import hashlib
+import logging
+import math
+import re
+import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -23,6 +28,32 @@ _AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0
 _AXIS_TOLERANCE: Final = 1e-6
 
 
+MOST_ELEMENTS: Final = 5000  # of a robot's XML, copies counted; MuJoCo takes minutes for 200,000
+
+
+def warn_by_log() -> None:
+    """Has MuJoCo's warnings logged, unless the user has a handler: it would write MUJOCO_LOG.TXT where one works."""
+    import mujoco
+
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(logging.getLogger("fastmimic").warning)
+
+
+def check_elements(path: Path) -> None:
+    """Raises `RobotError` if an MJCF or URDF has more than `MOST_ELEMENTS`, before MuJoCo reads it."""
+    copies, count = [1], 0
+    with suppress(OSError, ElementTree.ParseError):  # MuJoCo tells where, or can read it
+        for event, element in ElementTree.iterparse(path, ("start", "end")):
+            if event == "end":
+                copies.pop()
+                continue
+            more = re.findall(r"\d+", element.get("count", ""))  # of `replicate`, `composite` and `flexcomp`
+            copies.append(copies[-1] * math.prod(map(int, more)))
+            count += copies[-1]
+            if count > MOST_ELEMENTS:
+                raise RobotError(f"more than {MOST_ELEMENTS} elements, copies counted; a robot has some hundreds")
+
+
 def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
     """Reads a `Robot` from a MuJoCo specification, which may have no name. Raises `RobotError`: the model does not
     compile or is not a twelve-joint quadruped."""
@@ -32,6 +63,7 @@ def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
         _name_spheres(spec)
         model = spec.compile()
         xml = spec.to_xml()
+        _ = ' file="' in xml or mujoco.MjModel.from_xml_string(xml)  # rounded: a small mass may be none
     except (ValueError, RuntimeError) as error:
         raise RobotError(f"MuJoCo cannot compile this model ({one_line(error)})") from None
     trunk = _trunk(model)

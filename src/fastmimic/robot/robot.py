@@ -4,6 +4,7 @@ Parameters are given for an A1 and scaled to other robots. The A1's constants ha
 A1 is exactly 1; `tests/control/test_config.py` checks them.
 """
 
+import os
 import re
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -153,24 +154,26 @@ def load_robot(robot: str | Path | Robot) -> Robot:
     abduction, hip and knee joints."""
     import mujoco
 
-    from fastmimic.robot.mjcf import one_line, robot_from_spec
+    from fastmimic.robot.mjcf import check_elements, one_line, robot_from_spec, warn_by_log
     from fastmimic.robot.urdf import robot_from_urdf, urdf_in
 
     if isinstance(robot, Robot):
         return robot
+    warn_by_log()
     name = str(robot)
-    path = Path(robot)
+    path = Path(name)
     if name.lower() in ROBOT_NAMES:
         text = resources.files("fastmimic.robot").joinpath(f"{name.lower()}.xml").read_text(encoding="utf-8")
         spec = mujoco.MjSpec.from_string(text)
-    elif not path.exists():
+    elif not os.path.exists(path):
         hint = did_you_mean(name, ROBOT_NAMES)
         raise RobotError(f"unknown robot '{name}': not one of {', '.join(ROBOT_NAMES)} and not a file{hint}")
     else:
         path = urdf_in(path) if path.is_dir() else path
         try:
+            check_elements(path)
             spec = None if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
-        except (ValueError, OSError, UnicodeDecodeError) as error:
+        except (RobotError, ValueError, OSError, UnicodeDecodeError) as error:
             raise RobotError(f"{path}: not a readable MJCF ({one_line(error)})") from None
     try:
         return robot_from_urdf(path) if spec is None else robot_from_spec(spec, path.stem)

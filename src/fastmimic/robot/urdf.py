@@ -7,6 +7,7 @@ stand bent in the keyframe `home`, and a leg without a sphere at its end gets on
 import os
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +20,7 @@ from fastmimic.robot.robot import Robot
 if TYPE_CHECKING:
     import mujoco
 
+MOST_FOLDERS: Final = 2000  # that are searched: a vendor's has some dozens
 _MESHES: Final = (".stl", ".obj")  # that MuJoCo reads
 _NO_MASS_KG: Final = 1e-4
 _STANDS: Final = 0.65  # height of the hips above the feet in `home`, share of the leg's length
@@ -28,7 +30,8 @@ _FOOT: Final = 0.1  # radius of an assumed foot, share of the calf's length
 
 def urdf_in(folder: Path) -> Path:
     """The one URDF of a vendor's folder; raises `RobotError` if there is none, or more than one."""
-    found = sorted(folder.rglob("*.urdf"))
+    walked = islice(os.walk(folder), MOST_FOLDERS)
+    found = sorted(Path(at, name) for at, _, names in walked for name in names if name.endswith(".urdf"))
     if len(found) != 1:
         names = ", ".join(str(path.relative_to(folder)) for path in found)
         raise RobotError(f"{folder}: expected one URDF in this folder, found {names or 'none'}; give the file")

@@ -1,11 +1,12 @@
 """Loads a motion from a name, a clip, a robot motion, or the folder of a run."""
 
-import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.files import read_json
 from fastmimic.clips.catalogue import motion_names, open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import is_robot_motion
@@ -39,12 +40,10 @@ class MotionSource:
         if self.folder is None:
             return {}
         path = self.folder / CONFIG
-        try:
-            return dict(json.loads(path.read_text(encoding="utf-8")).get("arguments", {}))
-        except FileNotFoundError:
-            return {}
-        except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise MotionError(f"{path}: not the settings of a run ({type(error).__name__}: {error})") from None
+        arguments = read_json(path, MotionError).get("arguments", {}) if path.is_file() else {}
+        if not isinstance(arguments, dict):
+            raise MotionError(f"{path}: not the settings of a run (arguments: {arguments})")
+        return arguments
 
     def open_clip(self, robot: Robot, **overrides: Any) -> Clip:
         """The clip, as `open_clip` reads it; raises `FastMimicError` as that, and for a robot motion."""
@@ -86,7 +85,7 @@ def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
         raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")
     if name in motion_names():
         return MotionSource(name, clip=name)
-    if Path(source).is_dir():
+    if os.path.isdir(source):
         path = Path(source) / MOTION
         if not path.is_file():
             raise MotionError(f"{source}: a folder without {MOTION}; give the folder of a finished run, or a file")

@@ -1,5 +1,6 @@
 """Folders of long work and of single runs: their files, and the rules to replace or resume them."""
 
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -172,8 +173,8 @@ def open_run(
     `CheckpointError` if there is nothing to resume from, and `OutputError` if the folder holds another run, or cannot
     be written to."""
     folder = RunFolder(path)
-    folder.check(same, resume=resume, overwrite=overwrite)
     with created(path):
+        folder.check(same, resume=resume, overwrite=overwrite)
         started = not resume and not folder.finished
         had_config = (path / CONFIG).is_file()
         if started:
@@ -206,9 +207,10 @@ def differences(same: Mapping[str, Any], earlier: Mapping[str, Any]) -> str:
 
 @contextmanager
 def created(path: Path) -> Iterator[None]:
-    """Creates a folder with its parents; if the block fails, removes those that are empty. Raises `OutputError`."""
+    """Makes a folder with its parents, for this process alone; if that fails, removes empty ones; or `OutputError`."""
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     check_folder(path)
+    handle = _locked(path)
     try:
         yield
     except BaseException:
@@ -216,3 +218,21 @@ def created(path: Path) -> Iterator[None]:
             with suppress(OSError):  # it holds something else
                 folder.rmdir()
         raise
+    finally:
+        os.close(handle)
+
+
+def _locked(path: Path) -> int:
+    """Opens and locks a folder against other processes. The lock is the system's: it leaves no file behind, and ends
+    with the process, even a killed one. Raises `OutputError` if another process has it."""
+    import fcntl
+
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise OutputError(f"{path}: another process works in it; wait until it ends, or choose another --out") from None
+    except OSError:  # a file system without locks
+        pass
+    return handle

@@ -201,10 +201,6 @@ class Range:
                 f" {self.lower:g} to {self.upper:g}: {kind.about}"
             )
 
-    @property
-    def timed(self) -> bool:
-        return DISTURBANCES[self.name].timed
-
     def __str__(self) -> str:
         unit = DISTURBANCES[self.name].unit
         return f"{self.name} {self.lower:g} … {self.upper:g} {unit}".strip()
@@ -272,7 +268,7 @@ def draw(
         drawn = n - first
         share = (rng.permutation(drawn) + rng.uniform(size=drawn)) / drawn
         values = np.minimum(r.lower + (r.upper - r.lower) * share, r.upper)
-        at_s = PUSH_TIME_S + PUSH_WINDOW_S * float(rng.uniform()) if r.timed else None
+        at_s = PUSH_TIME_S + PUSH_WINDOW_S * float(rng.uniform()) if DISTURBANCES[r.name].timed else None
         nominal = (DISTURBANCES[r.name].nominal,) * first
         found.append(Disturbance(r.name, (*nominal, *values.tolist()), at_s))
     return tuple(found)

@@ -1,4 +1,4 @@
-"""All disturbances as data, each with unit, range and realisation. To add one, register one entry:
+"""All disturbances as data, each with unit, range and realisation; `disturbances.json` has ours. To add one:
 
     DISTURBANCES.register(DisturbanceKind("wind", unit="N", lower=-50.0, upper=50.0, about="…", each_step=blow))
 
@@ -9,13 +9,14 @@ disturbances by itself (`fastmimic.simulation.simulators`).
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.robot.robot import combined
@@ -117,160 +118,30 @@ def symmetric(*levels: float) -> tuple[float, ...]:
     return (*(-level for level in reversed(levels)), 0.0, *levels)
 
 
-_COM_X: Final = DisturbanceKind(
-    "com-x",
-    unit="m",
-    lower=-0.15,
-    upper=0.15,
-    about="shift of the trunk's centre of mass forwards",
-    levels=symmetric(0.02, 0.04, 0.06, 0.08, 0.1),
-    usual=(-0.03, 0.03),
-    randomized=True,
-    apply={"mujoco": _trunk_load},
-)
-_PUSH: Final = DisturbanceKind(
-    "push",
-    unit="N·s",
-    lower=-100.0,
-    upper=100.0,
-    about=f"impulse on the trunk within {PUSH_DURATION_S:g} s along its heading, {PUSH_TIME_S:g} s after the start"
-    " unless a time is given (@time)",
-    levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0),
-    usual=(-5.0, 5.0),
-    timed=True,
-)
+_APPLIED: Final[dict[str, Apply]] = {
+    "friction": _friction,
+    "restitution": _contact,
+    "softness": _contact,
+    "payload": _trunk_load,
+    "com-x": _trunk_load,
+    "com-y": _trunk_load,
+    "joint-friction": partial(_joints, "dof_frictionloss"),
+    "joint-damping": partial(_joints, "dof_damping"),
+}
+"""What MuJoCo's model is changed by."""
+
+
+def _built_in(said: dict[str, Any]) -> DisturbanceKind:
+    """A disturbance of `disturbances.json`; a level of null has no bound."""
+    levels = [math.inf if level is None else level for level in said.pop("levels", ())]
+    if "levels_each_way" in said:
+        levels += symmetric(*said.pop("levels_each_way"))
+    apply = {"mujoco": _APPLIED[said["name"]]} if said["name"] in _APPLIED else {}
+    return DisturbanceKind(**said, levels=tuple(levels), apply=apply)
+
+
+_Said = dict[str, str | bool | float | tuple[float | None, ...]]
 DISTURBANCES: Final = Registry(
-    "disturbance",
-    [
-        DisturbanceKind(
-            "friction",
-            lower=0.05,
-            upper=2.0,
-            about="coefficient of friction between the robot and the ground",
-            nominal=0.8,
-            levels=(0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8, 1.2),
-            usual=(0.5, 1.0),
-            randomized=True,
-            apply={"mujoco": _friction},
-        ),
-        DisturbanceKind(
-            "restitution",
-            lower=0.0,
-            upper=0.9,
-            about="share of the approach speed with which a contact rebounds",
-            levels=(0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7),
-            usual=(0.0, 0.3),
-            randomized=True,
-            apply={"mujoco": _contact},
-        ),
-        DisturbanceKind(
-            "softness",
-            unit="s",
-            lower=0.02,
-            upper=0.2,
-            about="time constant of the contact, MuJoCo's solref; the longer, the deeper a foot sinks in",
-            nominal=0.02,
-            levels=(0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1),
-            usual=(0.02, 0.04),
-            apply={"mujoco": _contact},
-        ),
-        DisturbanceKind(
-            "payload",
-            unit="kg",
-            lower=0.0,
-            upper=20.0,
-            about="on the trunk: a cube of 0.1 m with its centre 0.1 m above the base's origin",
-            levels=(0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0),
-            usual=(0.0, 2.0),
-            randomized=True,
-            apply={"mujoco": _trunk_load},
-        ),
-        _COM_X,
-        replace(
-            _COM_X,
-            name="com-y",
-            about="shift of the trunk's centre of mass to the left",
-            levels=symmetric(0.01, 0.02, 0.03, 0.04, 0.05, 0.06),
-            usual=(-0.015, 0.015),
-        ),
-        DisturbanceKind(
-            "motor-strength",
-            lower=0.1,
-            upper=2.0,
-            about="share of the commanded torque, and of the torque limit, that the motors give",
-            nominal=1.0,
-            levels=(0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3),
-            usual=(0.85, 1.1),
-            randomized=True,
-        ),
-        DisturbanceKind(
-            "top-speed",
-            lower=0.3,
-            about="of the motors, share of the robot's joint speed limits: their driving torque falls linearly from the"
-            " torque limit at half of it to nothing",
-            nominal=1.0,
-            levels=(0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.5, math.inf),
-            usual=(0.9, 1.1),
-            randomized=True,
-        ),
-        DisturbanceKind(
-            "delay",
-            unit="s",
-            lower=0.0,
-            upper=0.05,
-            about="between the controller's command and the motors, which follow the previous one meanwhile",
-            levels=(0.0, 0.002, 0.004, 0.006, 0.008, 0.01, 0.012, 0.016, 0.02),
-            usual=(0.0, 0.004),
-            randomized=True,
-        ),
-        DisturbanceKind(
-            "joint-friction",
-            unit="N·m",
-            lower=0.0,
-            upper=10.0,
-            about="dry friction of every joint",
-            levels=(0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0),
-            usual=(0.0, 0.4),
-            randomized=True,
-            apply={"mujoco": partial(_joints, "dof_frictionloss")},
-        ),
-        DisturbanceKind(
-            "joint-damping",
-            unit="N·m·s/rad",
-            lower=0.0,
-            upper=5.0,
-            about="viscous friction of every joint",
-            levels=(0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8),
-            usual=(0.0, 0.04),
-            randomized=True,
-            apply={"mujoco": partial(_joints, "dof_damping")},
-        ),
-        _PUSH,
-        replace(
-            _PUSH,
-            name="side-push",
-            about="the same to the left of its heading",
-            levels=symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0),
-            usual=(-1.5, 1.5),
-        ),
-        DisturbanceKind(
-            "foot-force-scale",
-            lower=0.0,
-            upper=100.0,
-            about="what the foot sensors' readings are multiplied by: another unit, or dead sensors",
-            nominal=1.0,
-            levels=(0.0, 0.1, 0.5, 1.0, 2.0, 10.0),
-            sensed=True,
-        ),
-        DisturbanceKind(
-            "foot-force-offset",
-            unit="N",
-            lower=-500.0,
-            upper=500.0,
-            about="added to the foot sensors' readings",
-            levels=(-60.0, 0.0, 60.0),
-            sensed=True,
-        ),
-    ],
+    "disturbance", map(_built_in, packaged("fastmimic.simulation", "disturbances.json", list[_Said]))
 )
 """All disturbances, in the order in which their random values are drawn."""

@@ -18,6 +18,7 @@ from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.robot import Robot
+from fastmimic.robot.mjcf import warn_by_log
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.conditions import Disturbance, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
@@ -47,6 +48,7 @@ def build_model(
     elliptic cone, a foot that rolls at a calf's rate has little friction left against slipping) and softness (feet sink
     by up to their radius). Geoms of the last link that would touch the ground before a standing foot do not collide.
     """
+    warn_by_log()
     spec, plain = robot.spec(), mujoco.MjSpec().default.geom
     for group in (spec.actuators, spec.sensors, spec.keys):
         for element in list(group):
@@ -70,25 +72,14 @@ def build_model(
         actuator.forcerange = [-limit, limit]
     # found (1) and the net force in the world frame (3)
     wanted = (1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)) | (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE))
-    for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):
-        spec.add_sensor(
-            name=f"{leg}_ground_force",
-            type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            objname=WORLD,
-            reftype=mujoco.mjtObj.mjOBJ_GEOM,
-            refname=geom,
-            intprm=[wanted, 3, 1],  # 3: the net force
-        )
-    trunk = {} if ground is None else {"reftype": mujoco.mjtObj.mjOBJ_BODY, "refname": _trunk_of(spec, robot)}
-    spec.add_sensor(
-        name="ground_contacts",
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_BODY,
-        objname=WORLD,
-        **trunk,
-        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 3, 1],
-    )
+    body, sphere = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
+    touched = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": body, "objname": WORLD}
+    for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):  # 3: the net force
+        foot = spec.add_sensor(name=f"{leg}_ground_force", **touched, intprm=[wanted, 3, 1])
+        foot.reftype, foot.refname = sphere, geom
+    trunk = {} if ground is None else {"reftype": body, "refname": _trunk_of(spec, robot)}
+    found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+    spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]
     spec.option.timestep = 1.0 / physics_rate_hz

@@ -170,9 +170,9 @@ class _Body:
             apart = not ideal and a in parts and b in parts and parts[a] != parts[b]
             bullet.setCollisionFilterPair(self.id, self.id, a, b, int(apart))
         trunk = bullet.getDynamicsInfo(self.id, -1)
-        # the base is reported as the trunk's inertial frame, given here in the trunk's own
+        # the base is reported as the trunk's inertial frame, given here in the trunk's own, w first
         self.com_b = np.array(trunk[3])
-        self.frame_b = _wxyz(trunk[4])
+        self.frame_b = np.roll(trunk[4], 1)
 
     def prepare(self, friction: float, damping: float) -> None:
         """Motors off but for the joints' own friction; no air drag, which Bullet has by default."""
@@ -224,7 +224,7 @@ class _Body:
         bullet = self._bullet
         at, frame = bullet.getBasePositionAndOrientation(self.id)
         velocity, turning = (np.array(v) for v in bullet.getBaseVelocity(self.id))
-        quat = quat_multiply(_wxyz(frame), quat_conjugate(self.frame_b))
+        quat = quat_multiply(np.roll(frame, 1), quat_conjugate(self.frame_b))
         arm = quat_rotate(quat, self.com_b)
         out["root_pos"] = np.array(at) - arm
         out["root_quat"] = quat
@@ -280,11 +280,6 @@ def _ground(bullet: Any, ground: Terrain | None) -> int:
     )
     middle = [0.0, 0.0, float(heights.max() + heights.min()) / 2]  # Bullet centres the heights about their range
     return int(bullet.createMultiBody(0, shape, -1, middle))
-
-
-def _wxyz(quat: Sequence[float]) -> Array:
-    x, y, z, w = quat
-    return np.array([w, x, y, z])
 
 
 def require_pybullet() -> tuple[Any, Any]:

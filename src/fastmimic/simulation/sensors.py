@@ -13,6 +13,7 @@ from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.estimation.estimator import turn_by
 from fastmimic.robot import Robot
+from fastmimic.robot.dynamics import cross
 from fastmimic.robot.state import COMMAND, READING
 from fastmimic.simulation.conditions import World, make_world
 from fastmimic.simulation.config import SensorConfig
@@ -78,24 +79,15 @@ def _measure_imu(c: Any, errors: Any, noise: Any, truth: Any, out: Any, rotation
     work[2] += GRAVITY
     transposed_times(rotation, work, out.accel)
     half, g, f = 0.5 * span if errors.tick > 0 else 0.0, out.gyro, out.accel
-    tx = half * (g[1] * f[2] - g[2] * f[1])
-    ty = half * (g[2] * f[0] - g[0] * f[2])
-    tz = half * (g[0] * f[1] - g[1] * f[0])
-    f[0] += tx + errors.accel_bias[0] + c.accel_noise * noise.accel[0]
-    f[1] += ty + errors.accel_bias[1] + c.accel_noise * noise.accel[1]
-    f[2] += tz + errors.accel_bias[2] + c.accel_noise * noise.accel[2]
+    turned = cross(g[0], g[1], g[2], f[0], f[1], f[2])
     for k in range(3):
+        f[k] += half * turned[k] + errors.accel_bias[k] + c.accel_noise * noise.accel[k]
         g[k] += errors.gyro_bias[k] + c.gyro_noise * noise.gyro[k]
     # an attitude filter takes its vertical from the accelerometer: u × ε = b / g for the vertical u in the body frame
     b, u, e, s = errors.accel_bias, rotation[2], errors.attitude, c.orientation_noise
     out.quat = truth.root_quat
-    turn_by(
-        out.quat,
-        (b[1] * u[2] - b[2] * u[1]) / GRAVITY,
-        (b[2] * u[0] - b[0] * u[2]) / GRAVITY,
-        (b[0] * u[1] - b[1] * u[0]) / GRAVITY,
-        True,
-    )
+    x, y, z = cross(b[0], b[1], b[2], u[0], u[1], u[2])
+    turn_by(out.quat, x / GRAVITY, y / GRAVITY, z / GRAVITY, True)
     turn_by(out.quat, s * noise.orientation[0], s * noise.orientation[1], s * noise.orientation[2], True)
     turn_by(out.quat, e[0], e[1], 0.0, False)
     turn_by(out.quat, 0.0, 0.0, e[2], False)

@@ -67,11 +67,14 @@ class Simulator:
         return self.robots is None or robot.lower() in self.robots
 
 
+def _options(conditions: "Conditions", control_rate_hz: float) -> dict[str, Any]:
+    return {"ground": conditions.ground, "ideal": conditions.ideal, "control_rate_hz": control_rate_hz}
+
+
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 
-    options: dict[str, Any] = {"ground": conditions.ground, "ideal": conditions.ideal}
-    options |= {"control_rate_hz": control_rate_hz, "threads": threads}
+    options = _options(conditions, control_rate_hz) | {"threads": threads}
     if not conditions.disturbances:
         return MujocoSimulation(robot, n, **options)
     return DisturbedMujocoSimulation(robot, n, conditions.disturbances, **options)
@@ -80,14 +83,7 @@ def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: flo
 def _pybullet(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.pybullet_sim import PybulletSimulation
 
-    return PybulletSimulation(
-        robot,
-        n,
-        disturbances=conditions.disturbances,
-        ground=conditions.ground,
-        control_rate_hz=control_rate_hz,
-        ideal=conditions.ideal,
-    )
+    return PybulletSimulation(robot, n, disturbances=conditions.disturbances, **_options(conditions, control_rate_hz))
 
 
 def _check_pybullet(robot: Robot) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.files import UNREADABLE, open_arrays
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
 from fastmimic.simulation.disturbance_kinds import DisturbanceKind, symmetric
@@ -32,6 +33,7 @@ FIELD_M: Final = 60.0  # edge of a height field; a robot that leaves it falls
 WAVE_M: Final = 1.0
 FILE_CELL_M: Final = 0.05
 FILES: Final = (".png", ".npy")
+MOST_POINTS: Final = 4_000_000  # of a file: a field of 100 m by 100 m
 _ACROSS: Final = np.linspace(-FOOTPRINT_M, FOOTPRINT_M, 5)
 _UNDER: Final = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)  # points under a robot
 
@@ -99,19 +101,12 @@ class HeightField:
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """The ground of episodes, world frame.
+    """The ground of episodes, world frame."""
 
-    Attributes:
-        gradient: (2,) of the plane through the origin that it is, or that its boxes follow.
-        boxes: (k, 6) centres and half edges of boxes along the axes, m.
-        field: of irregular ground.
-        spread: (3,) greatest x and y, m, and heading, rad, at which episodes begin.
-    """
-
-    gradient: tuple[float, float] = (0.0, 0.0)
-    boxes: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    field: HeightField | None = None
-    spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gradient: tuple[float, float] = (0.0, 0.0)  # of the plane through the origin that it is, or that its boxes follow
+    boxes: Array = field(default_factory=lambda: np.zeros((0, 6)))  # centres and half edges, along the axes, m
+    field: HeightField | None = None  # of irregular ground
+    spread: tuple[float, float, float] = (0.0, 0.0, 0.0)  # greatest x and y, m, and heading, rad, where episodes begin
 
     def height(self, x: Array, y: Array) -> Array:
         """Heights (…) of the ground at (…), m; beside all boxes that of the lowest underside."""
@@ -191,14 +186,17 @@ def _from_file(path: Path, cell: float, factor: float, _: np.random.Generator) -
 def _read_heights(path: Path) -> Array:
     from PIL import Image
 
+    is_array = path.suffix.lower() == ".npy"
     try:
-        if path.suffix.lower() == ".npy":
-            heights = np.load(path, allow_pickle=False).astype(np.float64)
+        found: Any = np.asarray(open_arrays(path)) if is_array else Image.open(path)  # not in memory yet
+        if (points := int(np.prod(found.size))) > MOST_POINTS:
+            raise ValueError(f"it has {points} points, more than the {MOST_POINTS} of the largest ground")
+        if is_array:
+            heights = found.astype(np.float64)
         else:
-            with Image.open(path) as image:
-                white = 65535 if image.mode.startswith("I") else 255
-                heights = np.asarray(image.convert("F"), dtype=np.float64)[::-1] / white
-    except (OSError, ValueError) as error:
+            white = 65535 if found.mode.startswith("I") else 255
+            heights = np.asarray(found.convert("F"), dtype=np.float64)[::-1] / white
+    except (*UNREADABLE, Image.DecompressionBombError) as error:
         raise ConfigError(f"{path}: cannot be read as a height field: {error}") from None
     if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
         raise ConfigError(f"{path}: a height field has rows and columns of finite heights; found {heights.shape}")

@@ -20,12 +20,11 @@ from fastmimic.base.rotations import quat_continuous, rotate_planar, trunk_quate
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance, Span, StitchedSegment, StitchRecord
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.reach import Reach
+from fastmimic.retargeting.feet import Reach
 from fastmimic.retargeting.track import TrunkTrack, steps
 from fastmimic.robot import Robot
-from fastmimic.stitching.layout import Layout, too_short
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
-from fastmimic.stitching.transition import make_transition
+from fastmimic.stitching.transition import Layout, make_transition, too_short
 
 SEGMENT_S: Final = 3.0  # default length of a segment, rounded to whole cycles
 MAX_S: Final = 600.0

@@ -18,7 +18,7 @@ from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stance, stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Span
-from fastmimic.retargeting.reach import Reach
+from fastmimic.retargeting.feet import Reach
 
 SEARCH_S: Final = 0.6  # largest distance of a switch from whole cycles, at most half a cycle
 MAX_ACCELERATION: Final = 1.4  # m/s², of the trunk's mean velocity within a transition

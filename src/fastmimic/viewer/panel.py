@@ -15,14 +15,12 @@ from fastmimic.viewer.scene import LAYERS
 from fastmimic.viewer.take import Take, contact_flags, friction_use
 
 if TYPE_CHECKING:
-    import threading
     from collections.abc import Callable
 
     import viser
 
     from fastmimic.viewer.scene import RobotScene
-    from fastmimic.viewer.viewer import Player, Repeat
-    from fastmimic.viewer.web import Cameras
+    from fastmimic.viewer.viewer import Cameras, Player, Repeat, Viewer
 
 _SPEEDS: Final = {f"× {speed:g}": speed for speed in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)}
 _REPEATS: "Final[dict[str, Repeat]]" = {"everything": "all", "this cycle": "cycle", "nothing": "off"}
@@ -62,26 +60,17 @@ class Panel:
 
 
 class ViewerPanel(Panel):
-    """viser's GUI elements and their effects on the player, which moves `robots`; `choose` takes one of `episodes`."""
+    """viser's GUI elements and their effects on a viewer's player, which moves its robots, and on the episode shown."""
 
-    def __init__(
-        self,
-        gui: "viser.GuiApi",
-        player: "Player",
-        lock: "threading.RLock",
-        robots: "Sequence[RobotScene]",
-        cameras: "Cameras",
-        heading: str,
-        episodes: int,
-        choose: "Callable[[int], None]",
-    ) -> None:
-        super().__init__(gui, heading)
-        self._player, self._lock, self._robots = player, lock, robots
+    def __init__(self, viewer: "Viewer", cameras: "Cameras", heading: str, episodes: int) -> None:
+        super().__init__(viewer.server.gui, heading)
+        self._player, self._lock, self._robots = viewer.player, viewer.lock, viewer.robots
+        gui, robots = self._gui, self._robots
         self.version = 0  # counts the changes that the scene must follow
         self._add_playback(cameras)
         if episodes > 1:
             chosen = gui.add_dropdown("episode", tuple(str(i) for i in range(episodes)), initial_value="0")
-            chosen.on_update(lambda _event: choose(int(str(chosen.value))))
+            chosen.on_update(lambda _event: viewer.choose(int(str(chosen.value))))
         self._add_layers()
         with charts_window(gui, "Charts"):
             self._charts = [_TakeCharts(gui, scene, alone=len(robots) == 1) for scene in robots]
@@ -330,7 +319,7 @@ def leg_table(take: Take, row: int) -> str:
 
 def status_line(take: Take, row: int) -> str:
     """HTML: title and caption, the time, and the reward at this step."""
-    reward = "" if take.reward is None else f" · reward now <b>{take.reward[row]:.2f}</b>"
+    reward = "" if take.reward is None or np.isnan(take.reward[row]) else f" · reward now <b>{take.reward[row]:.2f}</b>"
     fallen = take.fell_at is not None and row >= take.fell_at
     state = ' · <b style="color:#b03060">fallen</b>' if fallen else ""
     title, caption = html.escape(take.title), html.escape(take.caption)

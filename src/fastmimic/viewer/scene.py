@@ -10,20 +10,9 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.render.video_scene import ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
+from fastmimic.viewer import take as marks
 from fastmimic.viewer.bodies import Puppet, ground_surface
-from fastmimic.viewer.take import (
-    TRAIL_POINTS,
-    Take,
-    animal_beside,
-    bone_segments,
-    contact_flags,
-    contact_meshes,
-    contact_places,
-    force_arrows,
-    friction_pyramids,
-    smoothed_path,
-    trails,
-)
+from fastmimic.viewer.take import TRAIL_POINTS, Take
 
 if TYPE_CHECKING:
     import viser
@@ -126,7 +115,7 @@ class RobotScene:
         self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, ghost_rgba()[3])
         self._contacts = {
             kind: self._add_marks(f"{name}/contacts/{kind}", mesh)
-            for kind, mesh in contact_meshes(2.0 * self._robot.foot_radius).items()
+            for kind, mesh in marks.contact_meshes(2.0 * self._robot.foot_radius).items()
         }
         self._nodes = self._add_lines(name)
         self._names = [
@@ -145,7 +134,7 @@ class RobotScene:
 
     def _followed(self, take: Take) -> Array:
         """The path (t, 2) that the view follows, m."""
-        return smoothed_path(take)
+        return marks.smoothed_path(take)
 
     def set_layer(self, layer: str, visible: bool) -> None:
         """Shows or hides one of `LAYERS`."""
@@ -173,17 +162,17 @@ class RobotScene:
         if ghost is not None:
             _move(self._ghost, ghost)
         self._show_lines(row, placed, ghost)
-        places = contact_places(take, row)
-        for kind, flags in contact_flags(take, row).items():
+        places = marks.contact_places(take, row)
+        for kind, flags in marks.contact_flags(take, row).items():
             self._contacts[kind].batched_positions = places.astype(np.float32)
             self._contacts[kind].batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
         for place, label in zip(places, self._names, strict=True):
             label.position = place + np.array([0.0, 0.0, -0.02])
         self._title.position = take.pose[row, :3] + np.array([0.0, 0.0, 0.55 * self._robot.leg_length])
         if self._animal is not None:
-            points = animal_beside(self._animal, take, row, animal_aside(self._robot))
+            points = marks.animal_beside(self._animal, take, row, animal_aside(self._robot))
             self._points.points = points.astype(np.float32)
-            self._bones.points = bone_segments(points).astype(np.float32)
+            self._bones.points = marks.bone_segments(points).astype(np.float32)
 
     def frame(self, body: str) -> "viser.FrameHandle":
         """The scene node of one of the robot's bodies; raises `KeyError`."""
@@ -250,7 +239,7 @@ class RobotScene:
 
     def _add_animal(self, name: str) -> None:
         scene, points = self._server.scene, np.zeros((10, 3))
-        self._bones = self._lines(f"{name}/bones", bone_segments(points), _ANIMAL_RGB, 4.0)
+        self._bones = self._lines(f"{name}/bones", marks.bone_segments(points), _ANIMAL_RGB, 4.0)
         self._points = scene.add_point_cloud(
             f"{name}/points", points, _ANIMAL_RGB, point_size=0.022, point_shape="circle"
         )
@@ -272,14 +261,14 @@ class RobotScene:
 
     def _show_lines(self, row: int, placed: "Placed", ghost: "Placed | None") -> None:
         take, nodes = self.take, self._nodes
-        _set_lines(nodes["force"], force_arrows(take, row, take.force))
-        _set_lines(nodes["asked"], force_arrows(take, row, take.asked))
-        _set_lines(nodes["pyramid"], friction_pyramids(take, row))
-        _set_lines(nodes["path"], trails(take.feet, row, take.rate_hz))
+        _set_lines(nodes["force"], marks.force_arrows(take, row, take.force))
+        _set_lines(nodes["asked"], marks.force_arrows(take, row, take.asked))
+        _set_lines(nodes["pyramid"], marks.friction_pyramids(take, row))
+        _set_lines(nodes["path"], marks.trails(take.feet, row, take.rate_hz))
         drops = [_drop(placed.com, float(take.ground(placed.com)), upright=True)]
         nodes["com"].position = placed.com
         if ghost is not None and take.reference_feet is not None:
-            _set_lines(nodes["reference_path"], trails(take.reference_feet, row, take.rate_hz, dashed=True))
+            _set_lines(nodes["reference_path"], marks.trails(take.reference_feet, row, take.rate_hz, dashed=True))
             nodes["reference_com"].position = ghost.com
             drops.append(_drop(ghost.com, float(take.ground(ghost.com)), upright=False))
         nodes["com_drop"].points = np.concatenate(drops).astype(np.float32)

@@ -8,7 +8,7 @@ from typing import Any
 
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import ai4animation, bvh, c3d, csv_motion, deepmimic, glb, keypoints, pose_table
+from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, pose_table, skeletons
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
 from fastmimic.clips.formats.points import UP_AXES, read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
@@ -18,8 +18,8 @@ __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read
 
 _KEYPOINTS = (keypoints.FORMAT, keypoints.NAMED_FORMAT)
 _TABLES = (csv_motion.FORMAT, *_KEYPOINTS, pose_table.ANIPOSE, pose_table.DEEPLABCUT)
-_BINARY = (pose_table.HDF5, c3d.FORMAT, glb.FORMAT, ai4animation.FORMAT)
-for _format in (ROBOT_MOTION, *_TABLES, bvh.FORMAT, deepmimic.FORMAT, *_BINARY):
+_BINARY = (pose_table.HDF5, pose_table.C3D, skeletons.GLB, skeletons.AI4ANIMATION)
+for _format in (ROBOT_MOTION, *_TABLES, skeletons.BVH, deepmimic.FORMAT, *_BINARY):
     FORMATS.register(_format)
 
 

@@ -3,13 +3,14 @@ a header, columns are found by name in any order. Without one they are taken as 
 in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so."""
 
 import re
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.files import packaged
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import Content, Format
@@ -21,18 +22,11 @@ COLUMN_NAMES: Final = (*(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" fo
 COLUMNS: Final = len(COLUMN_NAMES)
 DEFAULT_RATE_HZ: Final = 30.0  # of the common retargeted CSV data sets (Unitree's and others)
 
-JOINT_SPELLINGS: Final = (
-    ("abduction", "hip", "knee"),
-    ("hip", "thigh", "calf"),
-    ("hip", "upper", "lower"),
-    ("hip", "upper_leg", "lower_leg"),
-    ("haa", "hfe", "kfe"),
-    ("abad", "hip", "knee"),
-    ("hip_x", "hip_y", "knee"),
-)
+_SPELLINGS: Final = packaged("fastmimic.clips.formats", "column_names.json", dict[str, Any])
+JOINT_SPELLINGS: Final = _SPELLINGS["joints"]
 """A file uses one row: FR_hip is the abduction next to FR_thigh, and the hip next to FR_abduction."""
 
-_LEG_SPELLINGS: Final = {"FR": ("fr", "rf"), "FL": ("fl", "lf"), "RR": ("rr", "rh", "hr"), "RL": ("rl", "lh", "hl")}
+_LEG_SPELLINGS: Final = _SPELLINGS["legs"]
 _TIME_NAMES: Final = ("time", "t", "time_s", "timestamp", "seconds")
 _MAX_ANGLE: Final = 2 * np.pi
 _MIN_UPRIGHT: Final = 0.5
@@ -119,7 +113,7 @@ def _root_names(name: str) -> set[str]:
 def _joint_names(plain: list[str]) -> list[set[str]]:
     """Accepted names of the twelve joints, in the spelling that fits most columns of this header."""
 
-    def spelled(row: tuple[str, str, str]) -> list[set[str]]:
+    def spelled(row: list[str]) -> list[set[str]]:
         return [{f"{leg}_{joint}" for leg in _LEG_SPELLINGS[name]} for name in LEGS for joint in row]
 
     return max(map(spelled, JOINT_SPELLINGS), key=lambda names: sum(bool(n & set(plain)) for n in names))

@@ -14,11 +14,10 @@ from typing import Final
 import numpy as np
 
 from fastmimic.clips.clip import DOG, DOG_KEYPOINTS, POINT_NAMES, Clip
-from fastmimic.clips.formats.format import Content, Format
+from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.points import clip_of
+from fastmimic.clips.formats.points import Tracks, clip_of, tracks_format
 from fastmimic.clips.formats.text_table import read_table, to_array
-from fastmimic.clips.formats.tracked_points import Tracks, tracks_format
 
 COLUMNS: Final = 81
 DEFAULT_RATE_HZ: Final = 60.0
@@ -32,15 +31,11 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, frames:
     """Reads the text of a keypoint file; `fps` is 60 if None, and `up` the axis along which the hips are above the
     toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
-    values = to_array(rows, COLUMNS, _column_name, "dog keypoints")
+    values = to_array(rows, COLUMNS, lambda c: f"point {c // 3} {'xyz'[c % 3]}", "dog keypoints")
     rate = DEFAULT_RATE_HZ if fps is None else float(fps)
     chosen = [DOG_KEYPOINTS[name] for name in POINT_NAMES]
     assumed = [] if fps is not None else [f"{rate:g} frames a second: the file does not say"]
     return clip_of(values.reshape(-1, 27, 3), chosen, rate, up=up, assumed=assumed, skeleton=DOG, frames=frames)
-
-
-def _column_name(column: int) -> str:
-    return f"point {column // 3} {'xyz'[column % 3]}"
 
 
 FORMAT: Final = Format(
@@ -76,15 +71,10 @@ def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
     return {name: [axes[a] for a in "xyz"] for name, axes in found.items() if len(axes) == 3}
 
 
-def _detect_named(content: Content) -> bool:
-    header = content.table.header
-    return header is not None and len(_named_points(header)) >= _FEWEST
-
-
 NAMED_FORMAT: Final = tracks_format(
     "points",
     "keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points, or of six without hips",
     (".csv",),
-    _detect_named,
+    lambda content: len(_named_points(content.table.header or ())) >= _FEWEST,
     read_named,
 )

@@ -1,10 +1,12 @@
 """An animal's or a robot's points from any file: their names, and from the file's axes and unit to the world's, z up
 and metres, by the animal: its hips are above its toes, its left is on the left, and no leg is as long as three metres.
-A point map is a JSON object that names a file's point for each of the ten of `POINT_NAMES`."""
+A point map is a JSON object that names a file's point for each of the ten of `POINT_NAMES`. `Tracks` are what a file of
+tracked points or joints holds, in its own names, axes and unit."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,8 +15,10 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.files import read_json
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
+from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.gaps import Part, mend, part_for
 from fastmimic.clips.formats.point_names import BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
@@ -45,12 +49,8 @@ _LEAST_TILT_RAD: Final = np.radians(3.0)
 def read_point_map(path: str | Path) -> dict[str, str]:
     """Reads a point map, which may leave out all four hips. Raises `ClipError`: not a JSON object that gives each of
     the ten points a name."""
-    try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or f"not JSON: {error}"
-        raise ClipError(f"{path}: a point map that cannot be read ({reason})") from None
-    if not isinstance(found, dict) or not all(isinstance(v, str) for v in found.values()):
+    found = read_json(path, ClipError)
+    if not all(isinstance(name, str) for name in found.values()):
         raise ClipError(f"{path}: a point map is a JSON object of names, such as {_EXAMPLE}")
     unknown = sorted(found.keys() - set(POINT_NAMES))
     missing = [name for name in POINT_NAMES if name not in found]
@@ -268,14 +268,11 @@ def with_hips(points: Array) -> tuple[Array, float, str]:
         points[:, hips, 2] = above[..., 2] - (1.0 - share) * (above[..., 2].mean() - ground)
         heights.append(float(points[:, hips, 2].mean()) - ground)
     legs = LEGS_TO_HEIGHT * float(np.mean(heights))
-    return (
-        points,
-        legs,
-        (
-            "shoulders and hips are not in the file: they are taken above the middle of the feet's places, as wide as"
-            f" these, {heights[0]:.2f} and {heights[1]:.2f} m high, with legs of {legs:.2f} m, as a dog's"
-        ),
+    said = (
+        "shoulders and hips are not in the file: they are taken above the middle of the feet's places, as wide as"
+        f" these, {heights[0]:.2f} and {heights[1]:.2f} m high, with legs of {legs:.2f} m, as a dog's"
     )
+    return points, legs, said
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -302,3 +299,87 @@ def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foo
     pelvis, neck = hips[:, 2:].mean(axis=1, keepdims=True), hips[:, :2].mean(axis=1, keepdims=True)
     points_b = np.concatenate([pelvis, neck, hips, foot_pos_b], axis=1)
     return np.asarray(root_pos_w)[:, None] + quat_rotate(np.asarray(root_quat_wxyz)[:, None], points_b)
+
+
+_RADIUS: Final = 0.02  # m, of drawn bones
+_UNEVEN: Final = 0.25  # share of a frame's duration: times may be rounded to milliseconds
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Tracked points or joints; None for what the file does not say."""
+
+    names: Sequence[str]
+    positions: Array  # (t, k, 3); NaN where a point is missing
+    rate_hz: float | None = None
+    times: tuple[str, Array] | None = None  # name and values (t,), s, of a column of times, in place of the rate
+    confidence: Array | None = None  # (t, k), 0 to 1
+    unit_m: float | None = None  # the file's unit in metres
+    is_level: bool = True  # whether an axis is vertical; not so in a camera's axes
+    notes: tuple[str, ...] = ()  # what was assumed
+    parents: Sequence[int] = ()  # of the joints of a skeleton, -1 for a root; empty for points
+
+    def clip(self, *, fps: float | None, **options: Any) -> Clip:
+        """The clip; `fps` and the options `up`, `point_map` and `frames` as in `ReadOptions`. Raises `ClipError`: no
+        frame rate, unknown points, or what `clip_of` refuses."""
+        rate = self._rate() if fps is None else float(fps)
+        chosen, assumed = choose(self.names, options.pop("point_map"))
+        bones = tuple((parent, joint) for joint, parent in enumerate(self.parents) if parent >= 0)
+        skeleton = Skeleton(len(self.names), bones, (_RADIUS,) * len(bones)) if bones else None
+        options |= {"confidence": self.confidence, "unit_m": self.unit_m, "is_level": self.is_level}
+        return clip_of(self.positions, chosen, rate, assumed=[*self.notes, *assumed], skeleton=skeleton, **options)
+
+    def _rate(self) -> float:
+        if self.times is not None:
+            column, times = self.times
+            since = times - times[0]
+            step = float(since[-1]) / (len(since) - 1)
+            off = np.abs(since - step * np.arange(len(since)))
+            if not step > 0 or off.max() > _UNEVEN * step:
+                raise ClipError(f"the column '{column}' does not rise by equal steps; give the frame rate (--fps)")
+            return 1.0 / step
+        if self.rate_hz is None:
+            raise ClipError("the file does not say how many frames a second it has; give the frame rate (--fps)")
+        return self.rate_hz
+
+
+def tracks_format(
+    name: str,
+    about: str,
+    suffixes: tuple[str, ...],
+    detect: Callable[[Content], bool],
+    read: Callable[[Any], Tracks],
+    *,
+    binary: bool = False,
+) -> Format:
+    """The format of a file whose text (or bytes) `read` reads, with the options of all tracks. Whatever a library says
+    of damaged bytes becomes a `ClipError`."""
+
+    def parse(content: str | bytes, **options: Any) -> Clip:
+        if not binary:
+            return read(content).clip(**options)
+        try:
+            tracks = read(content)
+        except ClipError:
+            raise
+        except Exception as error:  # noqa: BLE001 - libraries raise a dozen kinds
+            raise ClipError(f"a damaged file, or none of {about}: {str(error)[:200] or type(error).__name__}") from None
+        return tracks.clip(**options)
+
+    return Format(name, about, suffixes, detect, parse, ("fps", "up", "point_map", "frames"), binary)
+
+
+def most_complete(individuals: Sequence[str], positions: Array) -> tuple[int, tuple[str, ...]]:
+    """Of several animals' `positions` (n, t, k, 3), the one with the most points, and a sentence if there are more."""
+    best = int(np.argmax(np.isfinite(positions).sum(axis=(1, 2, 3))))
+    if len(individuals) == 1:
+        return best, ()
+    return best, (f"of {len(individuals)} animals, {individuals[best]} is read: it has the most points",)
+
+
+def library(module: str) -> Any:
+    """A library of the extra `formats`; raises `ClipError` if it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise ClipError(f"such files need {module}, which is not installed: pip install 'fastmimic[formats]'") from None

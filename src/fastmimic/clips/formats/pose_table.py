@@ -1,5 +1,5 @@
 """Tables of triangulated points, as DeepLabCut, Lightning Pose, Anipose and SLEAP write them, in text and in HDF5. None
-says its frame rate. The unit is that of the calibration board, the axes are those of the first camera.
+says its frame rate. The unit is that of the calibration board, the axes are those of the first camera. And markers:
 
 - DeepLabCut, and Lightning Pose in the same form: columns are named in lines of their own, `scorer`, `bodyparts` and
   `coords`, with several animals also `individuals`. Points of a picture have x, y and likelihood: they are refused.
@@ -7,10 +7,13 @@ says its frame rate. The unit is that of the calibration board, the axes are tho
   and the centre of the axes that its settings name, if they do, and the frame's number `fnum`.
 - HDF5: DeepLabCut's data frame, and the tracks of SLEAP and sleap-anipose. h5py reads them all; pandas and PyTables,
   which wrote the first, would read that alone.
+- C3D, the markers of motion capture (c3d.org): labels, unit and rate are in the file; a marker that was not seen has a
+  negative residual. It is read with the library c3d.
 """
 
 import io
 import pickle
+import warnings
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
@@ -19,8 +22,8 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.formats.format import Content
+from fastmimic.clips.formats.points import Tracks, library, most_complete, tracks_format
 from fastmimic.clips.formats.text_table import Row, Table, read_table, to_array
-from fastmimic.clips.formats.tracked_points import Tracks, library, most_complete, tracks_format
 
 FLAT: Final = (
     "these points lie in a picture (x and y, no z): triangulate the views of two calibrated cameras with Anipose,"
@@ -82,7 +85,8 @@ def _rows(table: Table) -> list[Row]:
 
 def _is_deeplabcut(content: Content) -> bool:
     firsts = [row.fields[0] for row in _rows(content.table)[:4]]
-    return firsts[:1] == ["scorer"] and {"bodyparts", "coords"} <= set(firsts)
+    before = firsts[: firsts.index("coords")] if "coords" in firsts else []
+    return before[:1] == ["scorer"] and "bodyparts" in before
 
 
 DEEPLABCUT: Final = tracks_format(
@@ -153,3 +157,31 @@ HDF5: Final = tracks_format(
     read_hdf5,
     binary=True,
 )
+
+
+_KEY: Final = 0x50  # second byte of every C3D
+_BLOCK: Final = 512
+_UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+
+
+def read_c3d(data: bytes) -> Tracks:
+    """Reads such a file. Raises `ClipError`: no library, or truncated."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of channels that are not read, and of the end that is checked below
+        file = library("c3d").Reader(io.BytesIO(data))
+        points = np.array([frame for _, frame, _ in file.read_frames()])
+    if len(points) < file.frame_count:
+        raise ClipError(f"the file says that it has {file.frame_count} frames; it has {len(points)}: it is truncated")
+    labels = [file.get(f"POINT:{name}") for name in ("LABELS", "LABELS2")]
+    names = [label.rpartition(":")[2].strip() for part in labels if part is not None for label in part.string_array]
+    unit = file.get("POINT:UNITS").string_value.strip().lower()
+    positions = np.where(points[..., 3:4] < 0, np.nan, points[..., :3]).astype(float)
+    return Tracks(names[: points.shape[1]], positions, float(file.point_rate), unit_m=_UNITS.get(unit))
+
+
+def _is_c3d(content: Content) -> bool:
+    data = content.data
+    return not content.text and len(data) > 1 and data[1] == _KEY and 1 < data[0] < len(data) // _BLOCK + 2
+
+
+C3D: Final = tracks_format("c3d", "markers of motion capture (.c3d)", (".c3d",), _is_c3d, read_c3d, binary=True)

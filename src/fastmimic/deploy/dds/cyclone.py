@@ -3,16 +3,19 @@
 import contextlib
 import ctypes
 import functools
+import glob
+import os
 import socket
+import struct
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
-from fastmimic.deploy.dds.types import Message, described, fixed_size
+from fastmimic.deploy.dds.types import DECLARED, Message, described, fixed_size, structure
 
 T = TypeVar("T")
 
@@ -24,74 +27,14 @@ _NOT_NOW: Final = -4  # DDS_RETCODE_PRECONDITION_NOT_MET
 _PUBLICATIONS: Final = 0x7FFF0000 + 3  # the built-in topic of everybody's writers
 _KEEP_LAST, _BEST_EFFORT, _RELIABLE, _XCDR1 = 0, 0, 1, 0
 _ANY_STATE: Final = 0x7F
+_NOT_OWN: Final = 1  # DDS_IGNORELOCAL_PARTICIPANT
+_SO_ATTACH_FILTER: Final = 26  # asm-generic/socket.h
 _TEXTS: Final = 16  # queued messages of a `TextReader`
 
-
-class SampleInfo(ctypes.Structure):
-    """dds_sample_info_t."""
-
-    _fields_ = [
-        ("states", ctypes.c_int * 3),
-        ("valid", ctypes.c_bool),
-        ("source_timestamp", ctypes.c_int64),
-        ("instance", ctypes.c_uint64),
-        ("publication", ctypes.c_uint64),
-        ("ranks", ctypes.c_uint32 * 5),
-    ]
-
-
-class Matched(ctypes.Structure):
-    """dds_publication_matched_status_t and dds_subscription_matched_status_t."""
-
-    _fields_ = [
-        ("total", ctypes.c_uint32),
-        ("total_change", ctypes.c_int32),
-        ("current", ctypes.c_uint32),
-        ("current_change", ctypes.c_int32),
-        ("last", ctypes.c_uint64),
-    ]
-
-
-class _Endpoint(ctypes.Structure):
-    """dds_builtintopic_endpoint_t."""
-
-    _fields_ = [
-        ("key", ctypes.c_uint8 * 16),
-        ("participant_key", ctypes.c_uint8 * 16),
-        ("participant", ctypes.c_uint64),
-        ("topic_name", ctypes.c_char_p),
-        ("type_name", ctypes.c_char_p),
-        ("qos", ctypes.c_void_p),
-    ]
-
-
-_I, _U, _LONG, _SIZE = ctypes.c_int32, ctypes.c_uint32, ctypes.c_int64, ctypes.c_size_t
-_TEXT, _POINTER = ctypes.c_char_p, ctypes.c_void_p
-_PROTOTYPES: Final[dict[str, tuple[Any, ...]]] = {
-    # name: result, arguments
-    "dds_create_domain": (_I, _U, _TEXT),
-    "dds_create_participant": (_I, _U, _POINTER, _POINTER),
-    "dds_create_topic": (_I, _I, _POINTER, _TEXT, _POINTER, _POINTER),
-    "dds_create_reader": (_I, _I, _I, _POINTER, _POINTER),
-    "dds_create_writer": (_I, _I, _I, _POINTER, _POINTER),
-    "dds_create_readcondition": (_I, _I, _U),
-    "dds_create_waitset": (_I, _I),
-    "dds_waitset_attach": (_I, _I, _I, ctypes.c_ssize_t),
-    "dds_waitset_wait": (_I, _I, _POINTER, _SIZE, _LONG),
-    "dds_take": (_I, _I, _POINTER, _POINTER, _SIZE, _U),
-    "dds_return_loan": (_I, _I, _POINTER, _I),
-    "dds_write": (_I, _I, _POINTER),
-    "dds_get_publication_matched_status": (_I, _I, _POINTER),
-    "dds_get_subscription_matched_status": (_I, _I, _POINTER),
-    "dds_delete": (_I, _I),
-    "dds_create_qos": (_POINTER,),
-    "dds_delete_qos": (None, _POINTER),
-    "dds_qset_reliability": (None, _POINTER, _I, _LONG),
-    "dds_qset_history": (None, _POINTER, _I, _I),
-    "dds_qset_data_representation": (None, _POINTER, _U, _POINTER),
-    "dds_strretcode": (_TEXT, _I),
-    "dds_set_log_mask": (None, _U),
-}
+SampleInfo: Final = structure("dds_sample_info_t")
+Matched: Final = structure("dds_publication_matched_status_t")
+"""Also dds_subscription_matched_status_t."""
+_Endpoint: Final = structure("dds_builtintopic_endpoint_t")
 
 
 @functools.cache
@@ -106,9 +49,9 @@ def cyclone() -> ctypes.CDLL:
         dds: ctypes.CDLL = load_cyclonedds()
     except CycloneDDSLoaderException as error:
         raise DriverError(f"the package cyclonedds cannot find its library: {error}") from None
-    for name, (result, *arguments) in _PROTOTYPES.items():
+    for name, kinds in DECLARED["functions"].items():  # a result, and arguments
         function = getattr(dds, name)
-        function.restype, function.argtypes = result, arguments
+        function.restype, *function.argtypes = (kind and getattr(ctypes, kind) for kind in kinds)
     dds.dds_set_log_mask(0)  # errors are reported by `checked`
     return dds
 
@@ -168,15 +111,41 @@ def enter_domain(domain: int, interface: str) -> None:
     with _domains_lock:
         found = _domains.get(domain)
         if found is None:
+            before = open_sockets()
             handle = dds.dds_create_domain(domain, configuration(interface).encode())
             if handle < 0:
                 raise DriverError(_why_not(handle, domain, interface))
+            try:
+                receive_by(interface, (number for name, number in open_sockets().items() if name not in before))
+            except OSError as error:
+                dds.dds_delete(handle)
+                raise DriverError(f"DDS cannot be kept to '{interface}': {error.strerror}") from None
             found = _domains[domain] = _OpenDomain(handle, interface)
         elif found.interface != interface:
             raise DriverError(
                 f"DDS domain {domain} is already open on '{found.interface}' in this process, not on '{interface}'"
             )
         found.users += 1
+
+
+def open_sockets() -> dict[str, int]:
+    """File descriptors of this process's sockets, by the sockets' names; none where there is no Linux."""
+    found = {os.path.realpath(path): int(os.path.basename(path)) for path in glob.glob("/proc/self/fd/*")}
+    return {name: number for name, number in found.items() if "socket:" in name}
+
+
+def receive_by(interface: str, descriptors: Iterable[int]) -> None:
+    """Has the UDP sockets at all addresses among these receive what comes by this interface or from this computer only.
+    CycloneDDS binds so whatever its configuration says (its issues 1923 and 2090). SO_BINDTODEVICE would also drop what
+    this computer's programs send to the interface's address. Raises `OSError`."""
+    for descriptor in descriptors:
+        with socket.socket(fileno=os.dup(descriptor)) as opened:
+            if opened.type == socket.SOCK_DGRAM and opened.getsockname()[:1] == ("0.0.0.0",):
+                given, local = socket.if_nametoindex(interface), socket.if_nametoindex(LOOPBACK)
+                # classic BPF: load the packet's interface; jump 2 or 1 on if it is this one; return none, or all of it
+                steps = (0x20, 0, 0, 0xFFFFF008, 0x15, 2, 0, given, 0x15, 1, 0, local, 6, 0, 0, 0, 6, 0, 0, 0xFFFFFFFF)
+                program = ctypes.create_string_buffer(struct.pack(5 * "HBBI", *steps))
+                opened.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, struct.pack("HP", 5, ctypes.addressof(program)))
 
 
 def _why_not(code: int, domain: int, interface: str) -> str:
@@ -255,13 +224,21 @@ class Participant:
 
 
 def _endpoint(
-    kind: str, participant: Participant, topic: str, message: type[Message], reliable: bool, depth: int
+    kind: str,
+    participant: Participant,
+    topic: str,
+    message: type[Message],
+    reliable: bool,
+    depth: int,
+    own: bool = True,
 ) -> int:
-    """The handle of a new "reader" or "writer", with CDR version 1, as 0.10 writes."""
+    """The handle of a new "reader" or "writer", with CDR version 1, as 0.10 writes; `own`: whether it may talk to
+    endpoints of the same participant."""
     dds = cyclone()
     qos = dds.dds_create_qos()
     dds.dds_qset_reliability(qos, _RELIABLE if reliable else _BEST_EFFORT, 0)
     dds.dds_qset_history(qos, _KEEP_LAST, depth)
+    dds.dds_qset_ignorelocal(qos, 0 if own else _NOT_OWN)
     dds.dds_qset_data_representation(qos, 1, (ctypes.c_int16 * 1)(_XCDR1))
     create = getattr(dds, f"dds_create_{kind}")
     handle = create(participant.handle, participant.topic(topic, message), qos, None)
@@ -301,7 +278,10 @@ class Reader:
     lost. `samples` (depth,) are NumPy structures, their padding zero, those of the last `take` first; `valid` is False
     for the notice that a writer has gone; `publication` is the writer."""
 
-    def __init__(self, participant: Participant, topic: str, message: type[Message], depth: int = 64) -> None:
+    def __init__(
+        self, participant: Participant, topic: str, message: type[Message], depth: int = 64, *, own: bool = True
+    ) -> None:
+        """`own`: whether messages of this participant's own writers are received."""
         assert fixed_size(message)
         dds, size = cyclone(), ctypes.sizeof(message)
         self._participant, self._depth = participant, depth
@@ -313,7 +293,7 @@ class Reader:
         infos = np.frombuffer(memoryview(self._infos), np.dtype(SampleInfo))
         self.valid: NDArray[np.bool_] = infos["valid"]
         self.publication: NDArray[np.uint64] = infos["publication"]
-        self._handle = _endpoint("reader", participant, topic, message, False, depth)
+        self._handle = _endpoint("reader", participant, topic, message, False, depth, own)
         condition = checked(dds.dds_create_readcondition(self._handle, _ANY_STATE), "a read condition")
         self._waitset = checked(dds.dds_create_waitset(participant.handle), "a waitset")
         checked(dds.dds_waitset_attach(self._waitset, condition, 0), "a waitset")

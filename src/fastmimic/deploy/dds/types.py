@@ -4,6 +4,8 @@ import ctypes
 import re
 from typing import Any, ClassVar, Final
 
+from fastmimic.base.files import packaged
+
 _PRIMITIVES: Final[dict[str, tuple[Any, int, int]]] = {
     "octet": (ctypes.c_uint8, 1, 0),
     "boolean": (ctypes.c_bool, 14, 0),
@@ -27,16 +29,22 @@ class Message(ctypes.Structure):
     typename: ClassVar[str] = ""
 
 
-class Octets(ctypes.Structure):
-    """An unbounded sequence of bytes."""
+DECLARED: Final = packaged("fastmimic.deploy.dds", "cyclone.json", dict[str, dict[str, Any]])
+"""CycloneDDS's functions, each with a result and its arguments, and structures."""
 
-    _fields_ = [
-        ("maximum", ctypes.c_uint32),
-        ("length", ctypes.c_uint32),
-        ("buffer", ctypes.c_void_p),
-        ("release", ctypes.c_bool),
-    ]
 
+def structure(name: str) -> Any:
+    """A structure of CycloneDDS, by its name there; a member has a type, and an array a length."""
+    fields = []
+    for member, (kind, *length) in DECLARED["structures"][name].items():
+        fields.append((member, getattr(ctypes, kind) * length[0] if length else getattr(ctypes, kind)))
+    return type(name, (ctypes.Structure,), {"_fields_": fields})
+
+
+Octets: Final = structure("dds_sequence_octet")
+"""An unbounded sequence of bytes."""
+_Descriptor: Final = structure("dds_topic_descriptor_t")
+"""That of 0.10 and 11, without a description of the type for peers."""
 
 _TOKEN: Final = re.compile(r"module (\w+) {|struct (\w+) {([^}]*)}|}")
 _MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
@@ -90,30 +98,7 @@ def fixed_size(message: Any) -> bool:
     return ctypes.c_char_p not in kinds and Octets not in nested and all(fixed_size(kind) for kind in nested)
 
 
-class _Blob(ctypes.Structure):
-    _fields_ = [("data", ctypes.c_void_p), ("size", ctypes.c_uint32)]
-
-
-class _Descriptor(ctypes.Structure):
-    """dds_topic_descriptor_t of 0.10 and 11, without a description of the type for peers."""
-
-    _fields_ = [
-        ("size", ctypes.c_uint32),
-        ("alignment", ctypes.c_uint32),
-        ("flags", ctypes.c_uint32),
-        ("keys", ctypes.c_uint32),
-        ("typename", ctypes.c_char_p),
-        ("key_descriptors", ctypes.c_void_p),
-        ("program_length", ctypes.c_uint32),
-        ("program", ctypes.POINTER(ctypes.c_uint32)),
-        ("meta", ctypes.c_char_p),
-        ("type_information", _Blob),
-        ("type_mapping", _Blob),
-        ("representations", ctypes.c_uint32),
-    ]
-
-
-def described(message: type[Message]) -> tuple[_Descriptor, Any]:
+def described(message: type[Message]) -> tuple[Any, Any]:
     """The descriptor of a topic's type, and the memory that it refers to."""
     instructions = [*program(message), _END]
     array = (ctypes.c_uint32 * len(instructions))(*instructions)
@@ -123,7 +108,7 @@ def described(message: type[Message]) -> tuple[_Descriptor, Any]:
         flags=_FIXED_SIZE if fixed_size(message) else 0,
         typename=message.typename.encode(),
         program_length=len(instructions),
-        program=array,
+        program=ctypes.addressof(array),
         meta=b"",
     )
     return descriptor, array

@@ -39,6 +39,7 @@ class Go2Driver(RobotDriver):
         self._reader = Reader(participant, messages.LOW_STATE_TOPIC, messages.LowState, _DEPTH)
         self._writer = Writer(participant, messages.LOW_COMMAND_TOPIC, messages.LowCommand)
         assert self._writer.record is not None
+        self._others = Reader(participant, messages.LOW_COMMAND_TOPIC, messages.LowCommand, own=False)
         self._command = messages.CommandWire(self._writer.record)
         self._command.clear()
         self._state = messages.StateWire(self._reader.samples)
@@ -47,8 +48,9 @@ class Go2Driver(RobotDriver):
         self._await_states(participant)
         if self._release:
             self.released = messages.release_motion_service(participant, self._lies, self._say)
-            self._check_alone(participant)
+            self._check_alone()
         self._reader.take()  # states of before are old
+        self._heard_others()
         self._sequence, self.packets = -1, Packets()
 
     def close(self) -> None:
@@ -58,6 +60,7 @@ class Go2Driver(RobotDriver):
 
     def _newest(self) -> StateMessage | None:
         newest = None
+        self.packets.foreign += self._heard_others()
         for i in range(self._reader.take()):
             if self._reader.valid[i]:
                 reading = np.zeros(1, READING)
@@ -116,19 +119,20 @@ class Go2Driver(RobotDriver):
             )
         self._counted = any(state.tick != 0 for state in seen)
 
-    def _check_alone(self, participant: Participant) -> None:
+    def _check_alone(self) -> None:
         """Raises `DriverError` if another program commands the motors."""
-        reader = Reader(participant, messages.LOW_COMMAND_TOPIC, messages.LowCommand)
-        end, heard = time.monotonic() + _LISTEN_S, False
-        while not heard and (left := end - time.monotonic()) > 0:
-            reader.wait(left)
-            heard = bool(reader.valid[: reader.take()].any())
-        reader.close()
-        if heard:
-            raise DriverError(
-                f"another program sends commands to the motors of the robot in DDS domain {self._domain} on"
-                f" '{self._interface}': end it first"
-            )
+        end = time.monotonic() + _LISTEN_S
+        while (left := end - time.monotonic()) > 0:
+            self._others.wait(left)
+            if self._heard_others():
+                raise DriverError(
+                    f"another program sends commands to the motors of the robot in DDS domain {self._domain} on"
+                    f" '{self._interface}': end it first"
+                )
+
+    def _heard_others(self) -> int:
+        """The number of commands of other programs since the last call."""
+        return int(self._others.valid[: self._others.take()].sum())
 
     def _lies(self) -> bool:
         """Whether the legs are folded."""

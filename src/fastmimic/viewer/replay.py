@@ -1,0 +1,97 @@
+"""What was run before, for the viewer: a report's episodes, and deployments."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import DeploymentError
+from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
+from fastmimic.control.config import ControllerConfig
+from fastmimic.deploy.deployment import score_log
+from fastmimic.deploy.log import DeploymentLog
+from fastmimic.deploy.state_machine import DeploymentPhase
+from fastmimic.episode.reward import REWARD_TERMS, reward_weights
+from fastmimic.robot import Robot
+from fastmimic.viewer.take import Take, cycle_rows, rollout_take
+from fastmimic.viewer.viewer import recorded_page, require_viser
+
+if TYPE_CHECKING:
+    from fastmimic.report.html_run import RerunEpisodes
+
+
+def recorded(e: "RerunEpisodes") -> str:
+    """A page with a 3D replay, before and after side by side; raises `ConfigError` if viser is missing or too old."""
+    require_viser()
+    shown = [("robot", "", e.motion.target, e.before)]
+    if e.after is not None:
+        shown = [
+            ("before", "before: as retargeted", e.motion.target, e.before),
+            ("after", "after: optimised", e.motion, e.after),
+        ]
+    takes = [rollout_take(rollout, motion, e.robot, e.config, title) for _, title, motion, rollout in shown]
+    return recorded_page(e.robot, takes, [name for name, *_ in shown])
+
+
+def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
+    """A deployment from standing up to its end: by the true states if they are known, else from the moment at which the
+    robot knew its place. Before and after the motion itself its reference stands still, and there is no reward. Raises
+    `DeploymentError` if it was never known where the robot was."""
+    config = ControllerConfig.from_dict(log.meta["config"])
+    seen = log.rows["estimate"] if log.truth is None else log.truth
+    known = seen["root_quat"].any(axis=1)
+    if log.truth is None:
+        known &= log.rows["phase"] < DeploymentPhase.DONE  # then the estimator stands still
+    at = np.flatnonzero(known)
+    if not len(at):
+        raise DeploymentError("the robot had not stood up yet, so nobody knows where it was")
+    rows, seen = log.rows[at], seen[at]
+    force = seen["foot_force"]
+    yaw = yaw_from_quat(seen["root_quat"])
+    take = Take(
+        robot,
+        f"deployed by driver {log.meta['driver']}",
+        log.rate_hz,
+        _poses(seen),
+        rows["stance"],
+        np.zeros(len(at), np.int64),
+        np.zeros(1, np.int64),
+        None,
+        caption=f"stopped by {log.meta['result']['stopped_by']}, {'estimate' if log.truth is None else 'ground truth'}",
+        measured=force[..., 2] > config.release_force(robot),
+        stance=rows["stance"],
+        force=force,
+        asked=quat_rotate(quat_from_yaw(yaw)[:, None], rows["force"]),
+        friction=config.stance.friction,
+    )
+    return _scored(take, at, log, config)
+
+
+def _scored(take: Take, at: NDArray[np.int64], log: DeploymentLog, config: ControllerConfig) -> Take:
+    """The take with the reference and the reward, where the motion was reached; row i is row at[i] of the log."""
+    score = score_log(take.robot, log, config, log.truth)
+    if score is None:
+        return take
+    begin = np.searchsorted(at, score.rows)
+    due = np.maximum(np.searchsorted(score.rows, at, side="right") - 1, 0)
+    terms = np.full((len(at), len(REWARD_TERMS)), np.nan)
+    terms[begin] = score.terms
+    moving = np.isin(at, score.rows)
+    samples = score.sample[due]
+    return replace(
+        take,
+        wanted=np.where(moving[:, None], score.demonstration["contact"][due].astype(bool), take.wanted),
+        samples=samples,
+        cycle_starts=cycle_rows(log.motion.target, samples),
+        reference=_poses(score.demonstration)[due],
+        caption=f"reward {score.rollout.reward[0]:.2f}, {take.caption}",
+        terms=terms,
+        reward=terms @ reward_weights(),
+    )
+
+
+def _poses(states: NDArray[Any]) -> Array:
+    """(t, 19) root position, quaternion and joints."""
+    return np.hstack([states["root_pos"], states["root_quat"], states["joint_pos"]])

@@ -1,0 +1,161 @@
+"""Sensors that lie: each is found before the robot steps, or while it does, and the robot is down before it falls."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.rig import Rig, once
+from fastmimic.base.rotations import quat_from_rotvec, quat_multiply, quat_rotate_inverse
+from fastmimic.deploy.deployment import Deployment
+from fastmimic.deploy.driver import StateMessage
+from fastmimic.deploy.safety import SafetyLimits, StopReason
+from fastmimic.deploy.sim import SimDriver
+from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
+from fastmimic.robot import Robot
+from fastmimic.simulation.conditions import Conditions
+
+Tamper = Callable[[Any], None]  # changes a reading of `READING` in place
+
+
+def mounted(angle: float, *axis: float) -> Tamper:
+    """An IMU that is turned against the trunk."""
+    turn = quat_from_rotvec(angle * np.array(axis))
+
+    def tamper(reading: Any) -> None:
+        reading["quat"] = quat_multiply(reading["quat"], turn)
+        reading["gyro"] = quat_rotate_inverse(turn, reading["gyro"])
+        reading["accel"] = quat_rotate_inverse(turn, reading["accel"])
+
+    return tamper
+
+
+def stuck(*fields: str, at: Any = slice(None)) -> Tamper:
+    first: list[Any] = []
+
+    def tamper(reading: Any) -> None:
+        first.append(reading.copy())
+        for field in fields:
+            reading[field][at] = first[0][field][at]
+
+    return tamper
+
+
+def scaled(field: str, factor: float) -> Tamper:
+    def tamper(reading: Any) -> None:
+        reading[field] *= factor
+
+    return tamper
+
+
+def swapped(one: int, other: int) -> Tamper:
+    def tamper(reading: Any) -> None:
+        for field in ("joint_pos", "joint_vel"):
+            reading[field][[one, other]] = reading[field][[other, one]]
+
+    return tamper
+
+
+def tampered(rig: Rig, tamper: Tamper) -> None:
+    def change(state: StateMessage) -> StateMessage:
+        reading = state.reading.copy()
+        tamper(reading[0])
+        return replace(state, reading=reading)
+
+    rig.driver.change = change
+
+
+BEFORE = {
+    "IMU frozen": (stuck("quat", "gyro", "accel"), StopReason.IMU, "the orientation has stood still"),
+    "IMU turned by 90°": (mounted(np.pi / 2, 0, 0, 1), StopReason.IMU, "does not turn as the legs do"),
+    "IMU tilted": (mounted(0.4, 0, 1, 0), StopReason.IMU, "the IMU's level and the plane of the feet"),
+    "gyroscope in °/s": (scaled("gyro", 180 / np.pi), StopReason.IMU, "differ by"),
+    "a knee frozen": (stuck("joint_pos", "joint_vel", at=2), StopReason.JOINT_SENSOR, "FR_knee has stood still"),
+    "hips swapped": (swapped(1, 4), StopReason.JOINT_SENSOR, "hip: its angle moved by"),
+    "joint speeds dead": (scaled("joint_vel", 0.0), StopReason.JOINT_SENSOR, "its speed moved by 0.00"),
+    "torques in other units": (scaled("torque", 0.1), StopReason.TORQUE_SENSOR, "of the robot's weight"),
+}
+
+
+@pytest.mark.parametrize("case", BEFORE)
+def test_a_sensor_that_is_wrong_from_the_beginning(case: str, stands: Rig) -> None:
+    tamper, reason, text = BEFORE[case]
+    tampered(stands, tamper)
+    done = stands.run()
+    assert (done.outcome.stopped_by, done.result["fell"]) == (reason, False), done.outcome
+    assert text in done.outcome.text
+    assert DeploymentPhase.FOLLOW not in done.log.rows["phase"]
+
+
+WHILE = {
+    "gyroscope frozen": (stuck("gyro"), StopReason.IMU),
+    "orientation turned": (mounted(0.3, 1, 0, 0), StopReason.IMU),
+    "accelerometer in g": (scaled("accel", 1 / 9.81), StopReason.IMU),
+    "a hip frozen": (stuck("joint_pos", "joint_vel", at=4), StopReason.JOINT_SENSOR),
+    "joint speeds of the other sign": (scaled("joint_vel", -1.0), StopReason.JOINT_SENSOR),
+    "torques dead": (scaled("torque", 0.0), StopReason.TORQUE_SENSOR),
+}
+
+
+def stepping(machine: StateMachine) -> bool:
+    return machine.in_motion and machine.follower.steps > 100
+
+
+@pytest.mark.parametrize("case", WHILE)
+def test_a_sensor_that_fails_while_the_robot_trots(case: str, trotting: Rig) -> None:
+    """The robot is crouched before it falls: it stands upright until then, and its trunk lands softly."""
+    tamper, reason = WHILE[case]
+    done = trotting.run(watch=once(stepping, lambda machine: tampered(trotting, tamper)), cycles=6)
+    assert (done.outcome.stopped_by, done.result["fell"]) == (reason, False), done.outcome
+    assert done.outcome.phase is DeploymentPhase.FOLLOW
+    assert not trotting.sim.body.fell
+    before = ~np.isin(done.log.rows["phase"], (DeploymentPhase.CROUCH, DeploymentPhase.DAMP))
+    assert tilt(done)[before].max() < 0.3
+    assert trotting.sim.truth[-1]["root_pos"][2] < 0.17, "m; it lies"
+
+
+def tilt(done: Deployment) -> Any:
+    """(t,) of the trunk, as it truly was, rad."""
+    assert done.log.truth is not None
+    x, y = done.log.truth["root_quat"][:, 1], done.log.truth["root_quat"][:, 2]
+    return np.arccos(1.0 - 2.0 * (x * x + y * y))
+
+
+@pytest.mark.parametrize("disturbance", ["side-push=8@9", "payload=5", "friction=0.3"])
+def test_a_robot_that_has_a_hard_time_is_not_doubted(disturbance: str, trotting: Rig, a1: Robot) -> None:
+    conditions = Conditions(observe="sensors", disturbances=(disturbance,))
+    trotting.put_in(SimDriver(a1, trotting.clock, conditions=conditions))
+    done = trotting.run(duration_s=2.0)
+    assert done.outcome.stopped_by is StopReason.DURATION, done.outcome
+
+
+def test_a_lean_that_is_switched_off(stands: Rig) -> None:
+    done = stands.run(limits=SafetyLimits(lean=0.0))
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert DeploymentPhase.LEAN not in done.log.rows["phase"]
+
+
+def test_a_robot_that_is_stopped_before_its_first_command_stays_folded(stands: Rig) -> None:
+    """Nothing of what was rehearsed, a robot on its feet, is sent to one that lies."""
+    begin = StateMachine.begin
+
+    def silent(machine: StateMachine, reading: Any) -> Any:
+        found = begin(machine, reading)
+        stands.driver.change = lambda state: None
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StateMachine, "begin", silent)
+        done = stands.run(limits=SafetyLimits(stale_s=1e-4))
+    assert done.outcome.stopped_by is StopReason.STALE_STATE
+    first = done.log.rows["command"][done.log.rows["phase"] == DeploymentPhase.CROUCH][0]
+    lying = done.log.rows["reading"]["joint_pos"][0]
+    assert np.abs(first["joint_pos"] - lying).max() < 0.1 < np.abs(stands.sequence.stand - lying).max()
+
+
+def test_a_dry_run_does_not_doubt_sensors_of_a_robot_that_it_does_not_move(stands: Rig) -> None:
+    done = stands.run(dry_run=True)
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert not [line for line in done.noted if "torques" in line or "stood still" in line], done.noted
