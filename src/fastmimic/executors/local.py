@@ -1,26 +1,24 @@
 """The cores of this machine: one process for each, one thread in each.
 
-Pebble's pool replaces a process that dies and tells which job it had; `concurrent.futures` breaks as a whole.
+Each process has a pipe of its own, so it is known whose job is lost when one dies, however early. The pools of
+`multiprocessing`, `concurrent.futures` and Pebble break as a whole, or lose the job, if one dies as it begins.
 """
 
 import multiprocessing
 import os
-import queue
 import signal
+import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import islice
+from multiprocessing.connection import wait
 from typing import Any, Final
 
-from pebble import ProcessExpired, ProcessPool
-
-from fastmimic.base.errors import FastMimicError, WorkerError
+from fastmimic.base.errors import WorkerError
 from fastmimic.base.machine import available_cores
 from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
 
-_POLL_S: Final = 0.5
-_AHEAD: Final = 2  # jobs handed out for each process, so that none waits for the next
 _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 
@@ -40,80 +38,105 @@ class LocalExecutor:
     ) -> Generator[JobOutcome, None, None]:
         tell = progress if progress is not None else lambda index, share: None
         if self.workers > 1 or not self._in_process:
-            yield from _spread(work, jobs, self.workers, tell)
+            with _one_thread_each():
+                yield from _spread(work, jobs, self.workers, tell)
             return
         for index, job in enumerate(jobs):
             yield JobOutcome(index, *attempt(work, job, partial(tell, index)))
 
 
+class _Worker:
+    """A process that does one job after the other. If it dies, another begins the job again."""
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._start()
+
+    def _start(self) -> None:
+        self.pipe, theirs = _CONTEXT.Pipe()
+        self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._work), daemon=True)
+        self._process.start()
+        theirs.close()  # so that the pipe ends when the process does
+
+    def begin(self, index: int, job: Any, attempts: int = 1) -> None:
+        self.index, self._job, self._attempts = index, job, attempts
+        with suppress(BrokenPipeError):  # a process that died after its last job: `hear` finds the pipe's end
+            self.pipe.send(job)
+
+    def hear(self) -> float | JobOutcome | None:
+        """Waits for what its process says: the job's finished share or its outcome, None if it is begun once more.
+        Raises what a defect raised."""
+        try:
+            said = self.pipe.recv()
+        except (EOFError, OSError):
+            status = self.end()
+            self._start()
+            if self._attempts < ATTEMPTS:
+                self.begin(self.index, self._job, self._attempts + 1)
+                return None
+            died = f"its process died {self._attempts} times (exit status {status}), perhaps for want of memory"
+            return JobOutcome(self.index, error=WorkerError(f"{died}: fewer workers leave more to each"))
+        if isinstance(said, Exception):
+            raise said
+        return JobOutcome(self.index, *said) if isinstance(said, tuple) else said
+
+    def end(self) -> int | None:
+        """Kills its process, if it still lives; returns the exit status."""
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
+        return self._process.exitcode
+
+
 def _spread(
     work: Work, jobs: Iterable[Any], workers: int, progress: Callable[[int, float], None]
 ) -> Generator[JobOutcome, None, None]:
-    steps: Any = _CONTEXT.Queue()
     waiting = enumerate(jobs)
-    running: dict[Future[Any], tuple[int, Any, int]] = {}  # its job's index, the job, and how often it was begun
-    with _pool(workers, steps) as pool:
-
-        def begin(index: int, job: Any, attempts: int) -> None:
-            running[pool.schedule(_work, args=(work, index, job))] = (index, job, attempts)
-
-        def fill() -> None:
-            while len(running) < _AHEAD * workers and (following := next(waiting, None)) is not None:
-                begin(*following, 1)
-
-        fill()
-        while running:
-            done, _ = wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
-            with suppress(queue.Empty):
-                while True:
-                    progress(*steps.get_nowait())
-            for future in done:
-                index, job, attempts = running.pop(future)
-                try:
-                    outcome = JobOutcome(index, *future.result())
-                except ProcessExpired as died:
-                    if attempts < ATTEMPTS:
-                        begin(index, job, attempts + 1)
-                        continue
-                    said = (
-                        f"its process died {attempts} times (exit status {died.exitcode}), perhaps for want of memory"
-                    )
-                    outcome = JobOutcome(index, error=WorkerError(f"{said}: fewer workers leave more to each"))
-                fill()
-                yield outcome
+    busy: list[_Worker] = []
+    try:
+        for first in islice(waiting, workers):
+            busy.append(_Worker(work))
+            busy[-1].begin(*first)
+        while busy:
+            ready = wait([worker.pipe for worker in busy])
+            for worker in [worker for worker in busy if worker.pipe in ready]:
+                said = worker.hear()
+                if isinstance(said, float):
+                    progress(worker.index, said)
+                elif said is not None:
+                    if (following := next(waiting, None)) is not None:
+                        worker.begin(*following)
+                    else:
+                        busy.remove(worker)
+                        worker.end()
+                    yield said
+    finally:
+        for worker in busy:
+            worker.end()
 
 
 @contextmanager
-def _pool(workers: int, steps: Any) -> Iterator[ProcessPool]:
-    """Processes with one thread each for linear algebra, unless the user said otherwise; stops them at the end without
-    waiting, as their jobs are done or no longer wanted."""
+def _one_thread_each() -> Iterator[None]:
+    """Processes begun meanwhile have one thread for linear algebra, unless the user said otherwise."""
     added = [name for name in _ONE_THREAD if name not in os.environ]
     os.environ.update(dict.fromkeys(added, "1"))
-    pool = ProcessPool(workers, initializer=_begin, initargs=(steps,), context=_CONTEXT)
     try:
-        yield pool
+        yield
     finally:
-        pool.stop()
-        pool.join()
         for name in added:
             os.environ.pop(name, None)
 
 
-_steps: Any = None
-
-
-def _begin(steps: Any) -> None:
-    """Prepares a process of the pool: Ctrl-C is the parent's to handle."""
-    global _steps
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _steps = steps
-
-
-def _work(work: Work, index: int, job: Any) -> tuple[Any, FastMimicError | None]:
-    def report(share: float) -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None and not parent.is_alive():
-            os._exit(1)  # it was killed, and nobody will ask for the result
-        _steps.put((index, share))
-
-    return attempt(work, job, report)
+def _serve(pipe: Any, work: Work) -> None:
+    """What a process of a worker does, until the pipe ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    try:
+        while True:
+            job = pipe.recv()
+            try:
+                pipe.send(attempt(work, job, lambda share: pipe.send(float(share))))
+            except Exception as defect:  # noqa: BLE001  the parent raises it
+                defect.add_note(traceback.format_exc())  # where it was raised, which does not travel with it
+                pipe.send(defect)
+    except (EOFError, OSError):
+        pass  # the parent was killed, and nobody will ask for the result
