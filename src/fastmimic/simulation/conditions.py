@@ -13,11 +13,14 @@ from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, did_you_mean, unknown
 from fastmimic.base.registry import Registry
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.estimation.config import EstimatorConfig
+from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
 from fastmimic.simulation.simulators import SIMULATORS
@@ -138,15 +141,6 @@ class World:
         kinds = [kind for kind in DISTURBANCES.values() if kind.name in self.given]
         return [(kind.each_step, self.values[kind.name]) for kind in kinds if kind.each_step is not None]
 
-    def push(self, elapsed_s: float) -> Array | None:
-        """(n, 2) present push on the trunks, forwards and to the left, N; None without any."""
-        force, pushed = np.zeros((self.n, 2)), False
-        for axis, name in enumerate(("push", "side-push")):
-            if name in self.given and 0 <= elapsed_s - self.times[name] + 1e-9 < PUSH_DURATION_S:
-                force[:, axis] = self.values[name] / PUSH_DURATION_S
-                pushed = True
-        return force if pushed else None
-
 
 def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> World:
     """The world of n robots; raises `ConfigError` for disturbances given twice, not realised in the simulator, or of
@@ -163,6 +157,49 @@ def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> W
         given.add(d.name)
     times = {d.name: d.at_s for d in disturbances if d.at_s is not None}
     return World(n, frozenset(given), values, times)
+
+
+class Delay:
+    """Commands on their way to the motors of robots, each `delay_s` (n,) late. `steps_hz` is how often a motor may take
+    a new one: `substeps` times in a control step."""
+
+    def __init__(self, delay_s: Array, steps_hz: float, substeps: int = 1) -> None:
+        self.late = np.round(delay_s * steps_hz).astype(np.int64)
+        self._substeps = substeps
+        self._sent = np.zeros((int(self.late.max()) // substeps + 2, len(self.late)), COMMAND)
+
+    def send(self, commands: NDArray[Any], step: int) -> None:
+        """Takes the commands (n,) of a control step, which are counted from 0 in each episode."""
+        self._sent[step % len(self._sent)] = commands
+
+    def arrived(self, step: int, substep: int = 0) -> NDArray[Any]:
+        """The commands (n,) that have reached the motors by now; the first ones are there from the start."""
+        sent = np.maximum(0, (step * self._substeps + substep - self.late) // self._substeps)
+        return np.asarray(self._sent[sent % len(self._sent), np.arange(len(sent))])
+
+
+class Disturbed:
+    """What pushes the trunks of a simulation's robots: `trunk_force` (n, 3), N, world frame, for a control step."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        self.trunk_force = np.zeros((world.n, 3))
+        self._headings: Array | None = None  # of the trunks when the present push began, which keeps them
+
+    def push(self, time_s: float, root_quat: Array) -> None:
+        """Sets the force of the control step that begins at `time_s` with the trunks at `root_quat` (n, 4)."""
+        self.trunk_force[:] = 0.0
+        for act, values in self.world.at_each_step:
+            act(self, values, time_s)
+        begun = [time_s - self.world.times.get(name, math.inf) + 1e-9 for name in ("push", "side-push")]
+        acting = [0 <= since_s < PUSH_DURATION_S for since_s in begun]
+        if not any(acting):
+            self._headings = None
+            return
+        if self._headings is None:
+            self._headings = yaw_from_quat(root_quat)
+        impulse = np.column_stack([self.world["push"], self.world["side-push"]]) * acting
+        self.trunk_force[:, :2] += rotate_planar(self._headings, impulse / PUSH_DURATION_S)
 
 
 def known(simulator: str, among: Mapping[str, DisturbanceKind] = DISTURBANCES) -> list[str]:

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
-from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.robot import Robot
 from fastmimic.robot.mjcf import warn_by_log
-from fastmimic.robot.state import COMMAND, OBSERVATION
-from fastmimic.simulation.conditions import Disturbance, make_world
+from fastmimic.robot.state import OBSERVATION
+from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, Placement, substeps_of
 from fastmimic.simulation.terrain import Terrain
@@ -281,7 +280,7 @@ class MujocoSimulation:
         actuate(commands, self._qvel, self._index, self.motors, self._ctrl, self._bias, self._torques)
 
 
-class DisturbedMujocoSimulation(MujocoSimulation):
+class DisturbedMujocoSimulation(MujocoSimulation, Disturbed):
     """A batch of robots that differ from each other and from the model that their controllers know. For disturbances:
     `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body), `joint_dofs` (12,), `trunk_force` (n,
     3) in N, world frame, for this control step; and `constants_changed`, to be set after changes of masses, inertias,
@@ -300,11 +299,11 @@ class DisturbedMujocoSimulation(MujocoSimulation):
     ) -> None:
         """`robot` is without the disturbances; the rest as for `MujocoSimulation`. Raises `ConfigError` as
         `make_world`, or if the control rate does not divide the physics rate."""
-        self.world = make_world(disturbances, n, "mujoco")
-        super().__init__(robot, n, control_rate_hz=control_rate_hz, threads=threads, ground=ground, ideal=ideal)
+        Disturbed.__init__(self, make_world(disturbances, n, "mujoco"))
+        options: dict[str, Any] = {"threads": threads, "ground": ground, "ideal": ideal}
+        MujocoSimulation.__init__(self, robot, n, control_rate_hz=control_rate_hz, **options)
         self.joint_dofs = self._index[12:24]
         self.trunk = int(self.model.jnt_bodyid[0])
-        self.trunk_force = np.zeros((n, 3))
         self.constants_changed = False
         for name in DISTURBANCES:
             change = DISTURBANCES[name].apply.get("mujoco")
@@ -316,53 +315,28 @@ class DisturbedMujocoSimulation(MujocoSimulation):
         if self.world.has("top-speed"):
             self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
         self._forces = self.batch.bind("xfrc_applied")
-        late = np.round(self.world["delay"] * DEFAULT_PHYSICS_RATE_HZ).astype(np.int64)
-        self._late = late if late.any() else None
-        self._sent = np.zeros((int(late.max()) // self.substeps + 2, n), COMMAND)
-        self._due = np.zeros(n, COMMAND)
+        self._delay = Delay(self.world["delay"], DEFAULT_PHYSICS_RATE_HZ, self.substeps)
         self._steps = 0
-        self._directions: Array | None = None
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
 
     def reset(self, *state: Array) -> None:
         """As `MujocoSimulation.reset`; the clocks of pushes and delay restart."""
         self._steps = 0
-        self._directions = None
+        self._headings = None
         self._forces[:] = 0.0
         super().reset(*state)
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        self._push()
-        self._sent[self._steps % len(self._sent)] = commands
-        if self._late is None:
+        if self._pushed:
+            self.push(self._steps * self.substeps / DEFAULT_PHYSICS_RATE_HZ, self._qpos[:, 3:7])
+            self._forces[:, self.trunk, :3] = self.trunk_force
+        self._delay.send(commands, self._steps)
+        if self._delay.late.any():
+            for substep in range(self.substeps):
+                self.drive(self._delay.arrived(self._steps, substep))
+                self.batch.step(nstep=1)
+        else:
             self.drive(commands)
             self.batch.step(nstep=self.substeps)
-        else:
-            for substep in range(self.substeps):
-                self.drive(self._arrived(substep, self._late))
-                self.batch.step(nstep=1)
         self._steps += 1
         return self.observe()
-
-    def _arrived(self, substep: int, late: NDArray[np.int64]) -> NDArray[Any]:
-        """The commands (n,) that have reached the motors by now; the first ones are there from the start."""
-        sent = np.maximum(0, (self._steps * self.substeps + substep - late) // self.substeps)
-        self._due[:] = self._sent[sent % len(self._sent), np.arange(len(self._due))]
-        return self._due
-
-    def _push(self) -> None:
-        """Sets the force on the trunks; a push keeps the heading of its beginning."""
-        if not self._pushed:
-            return
-        time_s = self._steps * self.substeps / DEFAULT_PHYSICS_RATE_HZ
-        self.trunk_force[:] = 0.0
-        for act, values in self.world.at_each_step:
-            act(self, values, time_s)
-        force = self.world.push(time_s)
-        if force is None:
-            self._directions = None
-        else:
-            if self._directions is None:
-                self._directions = yaw_from_quat(self._qpos[:, 3:7])
-            self.trunk_force[:, :2] += rotate_planar(self._directions, force)
-        self._forces[:, self.trunk, :3] = self.trunk_force

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.conditions import Disturbance, driving_limit, make_world
+from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, driving_limit, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
 from fastmimic.simulation.terrain import Terrain
@@ -36,7 +36,7 @@ _TOES: Final = tuple(f"{leg}_toe" for leg in LEGS)
 _FIT_M: Final = 2e-3  # largest difference of the feet from those of our model
 
 
-class PybulletSimulation:
+class PybulletSimulation(Disturbed):
     """n robots, each alone in its own physics client, stepped one after another. One thread at a time."""
 
     def __init__(
@@ -59,7 +59,7 @@ class PybulletSimulation:
         self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
         self.observation = np.zeros(n, OBSERVATION)
         self._rate, self._ideal = physics_rate_hz, ideal
-        self.world = world = make_world(disturbances, n, "pybullet")
+        super().__init__(world := make_world(disturbances, n, "pybullet"))
         self._ground = ground
         self._clients: list[Any] = []
         for _ in range(n):
@@ -76,11 +76,8 @@ class PybulletSimulation:
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
         self._top_speed = np.full(12, np.inf) if ideal and not world.has("top-speed") else robot.joint_speed_limit
         _check_fit(self._bodies[0], robot)
-        self._sent: list[NDArray[Any]] = []
-        self._late = np.round(world["delay"] * physics_rate_hz).astype(np.int64)
+        self._delay = Delay(world["delay"], physics_rate_hz, self.substeps)
         self._steps = 0
-        self._headings: Array | None = None
-        self.trunk_force = np.zeros((n, 3))
 
     def close(self) -> None:
         """Ends the physics clients; garbage collection does so otherwise."""
@@ -92,7 +89,7 @@ class PybulletSimulation:
         and the same start must lead to the same course."""
         n = len(self._bodies)
         wide = [np.broadcast_to(np.asarray(a, dtype=np.float64), (n, np.shape(a)[-1])) for a in state]
-        self._steps, self._sent, self._headings = 0, [], None
+        self._steps, self._headings = 0, None
         for i in range(n):
             self._load(i)
             position, quat, joints, velocity, turning, speeds = (a[i] for a in wide)
@@ -105,27 +102,14 @@ class PybulletSimulation:
             body.observe(self.observation[i], self._rate)
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        self._sent.append(commands.copy())
-        if len(self._sent) > int(self._late.max()) // self.substeps + 2:
-            self._sent.pop(0)
-        time_s = self._steps * self.substeps / self._rate
-        push = self.world.push(time_s) if self.world.given else None
-        if push is None:
-            self._headings = None
-        elif self._headings is None:
-            self._headings = yaw_from_quat(self.observation["root_quat"])
-        self.trunk_force[:] = 0.0
-        for act, values in self.world.at_each_step:
-            act(self, values, time_s)
-        oldest = self._steps + 1 - len(self._sent)
+        self.push(self._steps * self.substeps / self._rate, self.observation["root_quat"])
+        self._delay.send(commands, self._steps)
+        arrived = [self._delay.arrived(self._steps, substep) for substep in range(self.substeps)]
         for i, body in enumerate(self._bodies):
             strength, top_speed = self.world["motor-strength"][i], self._top_speed * self.world["top-speed"][i]
-            for substep in range(self.substeps):
-                sent = max(0, (self._steps * self.substeps + substep - int(self._late[i])) // self.substeps)
-                body.drive(self._sent[sent - oldest][i], self._limit, strength, top_speed)
-                if push is not None and self._headings is not None:
-                    body.pull(np.append(rotate_planar(self._headings[i], push[i]), 0.0))
-                if self.world.at_each_step:
+            for present in arrived:
+                body.drive(present[i], self._limit, strength, top_speed)
+                if self.trunk_force[i].any():
                     body.pull(self.trunk_force[i])
                 self._clients[i].stepSimulation()
             body.observe(self.observation[i], self._rate)

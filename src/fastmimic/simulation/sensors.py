@@ -15,7 +15,7 @@ from fastmimic.estimation.estimator import turn_by
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import cross
 from fastmimic.robot.state import COMMAND, READING
-from fastmimic.simulation.conditions import World, make_world
+from fastmimic.simulation.conditions import Delay, World, make_world
 from fastmimic.simulation.config import SensorConfig
 
 _BLOCK: Final = 128  # control steps for which noise is drawn at once
@@ -171,8 +171,7 @@ class Sensors:
         self.config = config if config is not None else SensorConfig()
         self._config = _pack(self.config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
-        self._late = np.round(world["delay"] * rate_hz).astype(np.int64)
-        self._sent = np.zeros((1 + int(self._late.max()), n), COMMAND)
+        self._delay = Delay(world["delay"], rate_hz)
         self._ring = np.zeros((n, 1 + int(self._config["delays"].max())), READING)
         self._noise = np.zeros((n, _BLOCK), _NOISE)
         self._normals = self._noise.view(np.float64).reshape(n, _BLOCK, _DRAWN)
@@ -211,9 +210,8 @@ class Sensors:
         if at == 0:
             for rng, block in zip(self._generators, self._normals, strict=True):
                 rng.standard_normal(out=block)
-        depth, robots = len(self._sent), np.arange(len(commands))
-        self._sent[self._step % depth] = commands
-        motors = self._sent[np.maximum(self._step - self._late, 0) % depth, robots]
+        self._delay.send(commands, self._step)
+        motors = self._delay.arrived(self._step)
         self._step += 1
         _measure(self._config, self._errors, self._noise, truth, motors, self._ring, self.reading, at, self._work)
         return self.reading
