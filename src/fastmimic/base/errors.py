@@ -5,7 +5,8 @@ exits with status 2; any other exception that reaches the user is a bug.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class FastMimicError(Exception):
@@ -72,6 +73,15 @@ def unknown(what: str, name: str, names: Iterable[str], error: type[FastMimicErr
     """The error for an unknown name; it lists the known ones."""
     names = list(names)
     return error(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
+
+
+@contextmanager
+def naming(where: object, error: type[FastMimicError]) -> Iterator[None]:
+    """An error of this kind in the block begins with where it comes from, such as a file."""
+    try:
+        yield
+    except error as problem:
+        raise error(f"{where}: {problem}") from None
 
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.errors import ClipError, did_you_mean, naming
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, RECORDED, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
@@ -155,10 +155,8 @@ def _unknown(name: str) -> ClipError:
 
 
 def _cut(name: str, clip: Clip, frames: tuple[int, int] | None) -> Clip:
-    try:
+    with naming(name, ClipError):
         return clip if frames is None else clip.cut(*frames)
-    except ClipError as error:
-        raise ClipError(f"{name}: {error}") from None
 
 
 def _refuse(name: str, why: str, options: Mapping[str, float | str | None]) -> None:

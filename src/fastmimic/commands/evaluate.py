@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import Positional
 
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, LogError
+from fastmimic.base.errors import ConfigError, LogError, naming
 from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, put_json, put_table, slow_start
@@ -178,10 +178,8 @@ class Identify:
         log = _run_log(self.log)
         unloaded = None if self.unloaded is None else _run_log(self.unloaded)
         robot = load_robot(self.robot or log.robot)
-        try:
+        with naming(self.log, LogError):
             found = identify(log, robot, unloaded)
-        except LogError as error:
-            raise LogError(f"{self.log}: {error}") from None
         put(f"{log.motion} on {log.robot}, {log.duration_s:g} s")
         put_table(_identified(found, found.stance_friction(config), config.stance.friction))
         if self.out is not None:

@@ -303,13 +303,12 @@ class SegmentTake:
 
 
 def _segment_row(segment: "Segment", rate_hz: float) -> tuple[str, ...]:
-    periodic = segment.period_frames is not None and segment.cycle is not None
     return (
         f"{segment.start}:{segment.end}",
         segment.gait,
         segment.footfall or "",
         f"{segment.period_frames:g} ({segment.period_frames / rate_hz:.2f} s)" if segment.period_frames else "",
-        "{}:{}".format(*segment.cycle) if periodic and segment.cycle else "",
+        "{}:{}".format(*segment.cycle) if segment.cycle else "",
         f"{segment.confidence:.2f}",
         f"{segment.speed_m_per_s:.2f}",
         f"{segment.yaw_rate_rad_per_s:+.2f}",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
-from fastmimic.base.errors import ConfigError, OutputError, PolicyError
+from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder
 from fastmimic.base.text import plain
 from fastmimic.control.config import CONFIGS
@@ -323,14 +323,9 @@ def folder_name(*parts: str | int) -> str:
 
 def policy_controller(path: Path, robot: Robot, motion: Motion) -> "MakeController":
     """The controllers of a policy's file, checked against robot and motion; raises `PolicyError`, naming the file."""
-    from fastmimic.learning.policy import Policy, controlled_by
+    from fastmimic.learning.policy import controlled_by, policy_for
 
-    policy = Policy.load(path)
-    try:
-        policy.check(robot, motion)
-    except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
-    return controlled_by(policy)
+    return controlled_by(policy_for(path, robot, motion))
 
 
 def check_duration(seconds: float | None) -> None:

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from fastmimic.base.errors import ConfigError, OutputError, PolicyError
+from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.formats import detect_format
 from fastmimic.control.config import controller_config
@@ -30,9 +30,6 @@ from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.runs.work_folder import MOTIONS
-
-if TYPE_CHECKING:
-    from fastmimic.learning.policy import Policy
 
 PAPER_MOTIONS: Final = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps")
 """The public ones among the paper's motions."""
@@ -176,10 +173,13 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
     finished runs in the folder count; otherwise they are about to be replaced. Calls `prepared` with the name of each
     retargeted motion. Raises `FastMimicError` for a missing robot or motion, or if the folder holds a finished run of
     other content."""
+    from fastmimic.learning.policy import policy_for
+
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
     policies = {
-        run: _policy(file, robot, files[_file(out, run.motion, consistent=True)]) for run, file in plan.policies.items()
+        run: policy_for(file, robot, files[_file(out, run.motion, consistent=True)])
+        for run, file in plan.policies.items()
     }
     found = _finished(out) if keep else {}
     known = dict(files)
@@ -188,7 +188,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
         if path not in known:
             known[path] = Motion.load(path)
         if run.method == RL and run not in policies:
-            policies[run] = _policy(out / RUNS / run.folder / POLICY, robot, known[path])
+            policies[run] = policy_for(out / RUNS / run.folder / POLICY, robot, known[path])
         if row.get("digest") != compared.digest(run, plan.settings, robot, known[path], policies.get(run)):
             raise OutputError(
                 f"{out / RUNS / run.folder}: a finished run of another {'policy' if run in policies else 'controller'},"
@@ -240,17 +240,6 @@ def _own_name(motion: str) -> str:
     if not path.is_file():
         return motion
     return Motion.load(path).name if detect_format(path) == "npz" else path.stem
-
-
-def _policy(file: Path, robot: Robot, demonstration: Motion) -> "Policy":
-    from fastmimic.learning.policy import Policy
-
-    policy = Policy.load(file)
-    try:
-        policy.check(robot, demonstration)
-    except PolicyError as error:
-        raise PolicyError(f"{file}: {error}") from None
-    return policy
 
 
 def _stem(name: str) -> str:

@@ -176,9 +176,7 @@ def _coefficient(force: Array, events: list[tuple[NDArray[np.intp], int]]) -> fl
 
 
 def _weighted_median(values: Array, weights: Array) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+    return float(np.quantile(values, 0.5, weights=weights, method="inverted_cdf"))
 
 
 def _gain_error(estimate: Callable[[Array], float], error: float, *shape: int) -> float:
@@ -193,16 +191,15 @@ def _gain_error(estimate: Callable[[Array], float], error: float, *shape: int) -
 
 def _bound(forces: GroundForces, robot: Robot) -> float:
     """Force ratio at which feet held, less the effect of the torque sensors' gains; 0 if none was pressed."""
-    force = forces.force()
-    held = _pressed(forces, force, robot) & (np.linalg.norm(forces.velocity, axis=-1) < SLIDING_SPEED)
+    held = _pressed(forces, forces.force(), robot) & (np.linalg.norm(forces.velocity, axis=-1) < SLIDING_SPEED)
     if not held.any():
         return 0.0
 
-    def bound(force: Array) -> float:
-        ratio = np.linalg.norm(force[..., :2], axis=-1)[held] / np.maximum(force[..., 2][held], 1.0)
-        return float(np.quantile(ratio, HELD))
+    def bound(gain: Array | None = None) -> float:
+        force = forces.force(gain)[held]
+        return float(np.quantile(np.linalg.norm(force[:, :2], axis=-1) / np.maximum(force[:, 2], 1.0), HELD))
 
-    return max(0.0, bound(force) - 1.96 * _gain_error(lambda gain: bound(forces.force(gain)), TORQUE_GAIN_ERROR, 4, 3))
+    return max(0.0, bound() - 1.96 * _gain_error(bound, TORQUE_GAIN_ERROR, 4, 3))
 
 
 def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:

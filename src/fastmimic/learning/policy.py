@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.configuration import changed
-from fastmimic.base.errors import ConfigError, PolicyError
+from fastmimic.base.errors import ConfigError, PolicyError, naming
 from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.config import ControllerConfig, pack_config
@@ -279,6 +279,14 @@ class PolicyController:
             act(self._settings, self._action, self._senses)
         command(self._settings, self._senses, self.command)
         return self.command
+
+
+def policy_for(path: Path, robot: Robot, motion: Motion) -> Policy:
+    """Reads a policy and checks that it is for this robot and motion; raises `PolicyError`, naming the file."""
+    policy = Policy.load(path)
+    with naming(path, PolicyError):
+        policy.check(robot, motion)
+    return policy
 
 
 def controlled_by(policy: Policy) -> MakeController:

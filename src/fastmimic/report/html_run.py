@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError
+from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError, naming
 from fastmimic.base.files import read_json
 from fastmimic.base.text import NONE
 from fastmimic.control.config import ControllerConfig
@@ -145,10 +145,8 @@ def read_run(path: Path) -> RunData:
 def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> RerunEpisodes:
     if not (path / MOTION).is_file():
         raise ConfigError(f"{path / MOTION} is missing")
-    try:
+    with naming(path / CONFIG, ConfigError):
         controller = ControllerConfig.from_dict(config.get("controller"))
-    except ConfigError as error:
-        raise ConfigError(f"{path / CONFIG}: {error}") from None
     arguments = config.get("arguments", {})
     robot = load_robot(arguments.get("robot") or metrics["robot"])
     motion = Motion.load(path / MOTION)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import RobotError, did_you_mean
+from fastmimic.base.errors import RobotError, did_you_mean, naming
 
 if TYPE_CHECKING:
     import mujoco
@@ -138,14 +138,9 @@ class Robot:
     @cached_property
     def geometry(self) -> Array:
         """(4, 12) legs for the kinematics: p₀ (3), d, s_x, s_z, t_x, t_z, c_x, c_z, knee sign, 0."""
-        rows = np.zeros((4, 12))
-        rows[:, 0:3] = self.hip_pos_b
-        rows[:, 3] = self.lateral_offset
-        rows[:, 4:6] = self.hip_shift
-        rows[:, 6:8] = self.thigh_vector[:, [0, 2]]
-        rows[:, 8:10] = self.calf_vector[:, [0, 2]]
-        rows[:, 10] = self.knee_sign
-        return rows
+        links = self.thigh_vector[:, [0, 2]], self.calf_vector[:, [0, 2]]
+        rows = (self.hip_pos_b, self.lateral_offset, self.hip_shift, *links, self.knee_sign, np.zeros(4))
+        return np.ascontiguousarray(np.column_stack(rows))
 
 
 def load_robot(robot: str | Path | Robot) -> Robot:
@@ -175,10 +170,8 @@ def load_robot(robot: str | Path | Robot) -> Robot:
             spec = None if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
         except (RobotError, ValueError, OSError, UnicodeDecodeError) as error:
             raise RobotError(f"{path}: not a readable MJCF ({one_line(error)})") from None
-    try:
+    with naming(path, RobotError):
         return robot_from_urdf(path) if spec is None else robot_from_spec(spec, path.stem)
-    except RobotError as error:
-        raise RobotError(f"{path}: {error}") from None
 
 
 def mass_ratio(robot: Robot) -> float:

@@ -70,9 +70,7 @@ class PybulletSimulation(Disturbed):
             self._clients.append(bullet)
         loads = np.column_stack([world[name] for name in ("payload", "com-x", "com-y")])
         self._descriptions = [changed_description(description, *load) for load in loads.tolist()]
-        self._bodies = [
-            _Body(bullet, text, ideal) for bullet, text in zip(self._clients, self._descriptions, strict=True)
-        ]
+        self._bodies = [_Body(self._clients[0], self._descriptions[0], ideal)]  # the others come with each reset
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
         self._top_speed = np.full(12, np.inf) if ideal and not world.has("top-speed") else robot.joint_speed_limit
         _check_fit(self._bodies[0], robot)
@@ -87,13 +85,12 @@ class PybulletSimulation(Disturbed):
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`. Reloads everything: Bullet remembers contacts,
         and the same start must lead to the same course."""
-        n = len(self._bodies)
+        n = len(self._clients)
         wide = [np.broadcast_to(np.asarray(a, dtype=np.float64), (n, np.shape(a)[-1])) for a in state]
         self._steps, self._headings = 0, None
-        for i in range(n):
-            self._load(i)
-            position, quat, joints, velocity, turning, speeds = (a[i] for a in wide)
-            self._bodies[i].place(position, quat, joints, velocity, quat_rotate(quat, turning), speeds)
+        self._bodies = [self._loaded(i) for i in range(n)]
+        for body, position, quat, joints, velocity, turning, speeds in zip(self._bodies, *wide, strict=True):
+            body.place(position, quat, joints, velocity, quat_rotate(quat, turning), speeds)
         for name in self.world.given:
             change = DISTURBANCES[name].apply.get("pybullet")
             if change is not None:
@@ -116,18 +113,19 @@ class PybulletSimulation(Disturbed):
         self._steps += 1
         return self.observation
 
-    def _load(self, i: int) -> None:
-        """An empty world with its ground and the robot."""
+    def _loaded(self, i: int) -> "_Body":
+        """A robot, alone with its ground in an empty world."""
         bullet, world = self._clients[i], self.world
         bullet.resetSimulation()
         bullet.setTimeStep(1.0 / self._rate)
         bullet.setGravity(0.0, 0.0, -GRAVITY)
         bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
-        self._bodies[i] = body = _Body(bullet, self._descriptions[i], self._ideal)
+        body = _Body(bullet, self._descriptions[i], self._ideal)
         body.ground, body.level = _ground(bullet, self._ground), self._ground is None
         # Bullet multiplies the coefficients of the two bodies: the ground has them, the robot 1
         bullet.changeDynamics(body.ground, -1, lateralFriction=float(world["friction"][i]))
         body.prepare(float(world["joint-friction"][i]), float(world["joint-damping"][i]))
+        return body
 
 
 class _Body:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fastmimic.base.errors import ClipError
+from fastmimic.base.errors import ClipError, naming
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, pose_table, skeletons
 from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
@@ -25,17 +25,15 @@ for _format in (ROBOT_MOTION, *_TABLES, skeletons.BVH, deepmimic.FORMAT, *_BINAR
 
 def detect_format(path: str | Path) -> str:
     """The name of a file's format, by its content. Raises `ClipError`: missing, or none of the formats."""
-    try:
+    with naming(path, ClipError):
         return format_of(Content.of(path)).name
-    except ClipError as error:
-        raise ClipError(f"{path}: {error}") from None
 
 
 def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
     """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`. `Motion.load` reads a
     FastMimic `.npz`. Raises `ClipError` for an unreadable file, or an option that does not apply to its format."""
     options = options if options is not None else ReadOptions()
-    try:
+    with naming(path, ClipError):
         if options.up is not None and options.up not in UP_AXES:
             raise ClipError(f"the vertical axis must be one of {', '.join(UP_AXES)}, found '{options.up}'")
         if options.fps is not None:
@@ -54,8 +52,6 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
         start = clip.meta.get("frames", [0])[0]  # a clip may be a part of its file
         cut = clip.cut(options.frames[0] - start, options.frames[1] - start)
         return replace(cut, meta=cut.meta | {"frames": list(options.frames)})
-    except ClipError as error:
-        raise ClipError(f"{path}: {error}") from None
 
 
 def with_scale(clip: Clip, scale: float) -> Clip:

@@ -21,7 +21,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate_inverse
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
@@ -104,19 +104,18 @@ def laikago_feet(joint_pos: Array) -> Array:
     the legs in the common order and the signs of the Laikago's model."""
     angles = np.reshape(joint_pos, (*np.shape(joint_pos)[:-1], 4, 3))
     abduction, hip, knee = angles[..., 0], angles[..., 1], angles[..., 2]
-    thigh = _rotate_y(hip, _THIGH + _rotate_y(knee, np.broadcast_to(_CALF, (*knee.shape, 3))))
+    about_x, about_y = [1, 2], [2, 0]
+    calf = _turned(np.broadcast_to(_CALF, (*knee.shape, 3)), knee, about_y)
+    thigh = _turned(_THIGH + calf, hip, about_y)
     thigh[..., 1] += _HIP_OFFSET
-    return _ABDUCTION_ORIGIN_B + _rotate_x(_SIDE * abduction, thigh)
+    return _ABDUCTION_ORIGIN_B + _turned(thigh, _SIDE * abduction, about_x)
 
 
-def _rotate_x(angle: Array, v: Array) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([v[..., 0], c * v[..., 1] - s * v[..., 2], s * v[..., 1] + c * v[..., 2]], axis=-1)
-
-
-def _rotate_y(angle: Array, v: Array) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * v[..., 0] + s * v[..., 2], v[..., 1], -s * v[..., 0] + c * v[..., 2]], axis=-1)
+def _turned(v: Array, angle: Array, plane: list[int]) -> Array:
+    """Vectors (..., 3) turned by `angle` (...) in the plane of two axes."""
+    out = np.array(v)
+    out[..., plane] = rotate_planar(angle, out[..., plane])
+    return out
 
 
 def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robot, Array, str]:

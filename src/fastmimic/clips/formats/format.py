@@ -156,12 +156,19 @@ def is_robot_motion(path: str | Path) -> bool:
 def _holds_arrays(file: BinaryIO) -> bool:
     if file.read(len(_ZIP_MAGIC[0])) not in _ZIP_MAGIC:
         return False
+    names = members(file)
+    if names is None:  # damaged: `Motion.load` reports how
+        return True
+    return any(name.endswith(".npy") for name in names) and "bone_names.npy" not in names  # AI4AnimationPy's
+
+
+def members(file: BinaryIO) -> set[str] | None:
+    """The names in a zip archive; None if it is damaged, or no archive."""
     try:
         with zipfile.ZipFile(file) as archive:
-            names = archive.namelist()
-            return any(name.endswith(".npy") for name in names) and "bone_names.npy" not in names  # AI4AnimationPy's
+            return set(archive.namelist())
     except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
-        return True  # damaged: `Motion.load` reports how
+        return None
 
 
 def _refuse(data: bytes) -> NoReturn:

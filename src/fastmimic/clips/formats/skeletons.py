@@ -11,7 +11,6 @@
 """
 
 import io
-import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -23,7 +22,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.base.files import open_arrays
 from fastmimic.base.rotations import matrix_from_quat
-from fastmimic.clips.formats.format import Content
+from fastmimic.clips.formats.format import members
 from fastmimic.clips.formats.points import Tracks, library, tracks_format
 from fastmimic.clips.formats.text_table import Row, is_number, to_array
 
@@ -288,14 +287,11 @@ def read_ai4animation(data: bytes) -> Tracks:
     return Tracks(names, positions, rate, parents=parents)
 
 
-def _is_ai4animation(content: Content) -> bool:
-    try:
-        with zipfile.ZipFile(io.BytesIO(content.data)) as archive:
-            return set(archive.namelist()) >= _MEMBERS
-    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
-        return False
-
-
 AI4ANIMATION: Final = tracks_format(
-    "ai4animation", "motion of AI4AnimationPy (.npz)", (".npz",), _is_ai4animation, read_ai4animation, binary=True
+    "ai4animation",
+    "motion of AI4AnimationPy (.npz)",
+    (".npz",),
+    lambda content: (members(io.BytesIO(content.data)) or set()) >= _MEMBERS,
+    read_ai4animation,
+    binary=True,
 )
