@@ -32,7 +32,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
-from fastmimic.primitive.motion_dmp import FEET
+from fastmimic.primitive.motion_dmp import FEET, rate_of
 from fastmimic.reference.table import put_root, reference_table
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, repeated
@@ -214,9 +214,9 @@ class ImitationProblem(Problem):
             self.steps = math.ceil(_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
-        self._goals = {i: dmp.index(name) for i, name in self._moved("goal")}
-        self._amplitudes = {i: dmp.index(name) for i, name in self._moved("amplitude")}
-        self._moves_root = min((*self._goals.values(), *self._amplitudes.values())) < FEET.start
+        names = [parameter.name.split(".") for parameter in self.parameters]
+        self._moved = [(kind, dmp.index(dimension)) for dimension, kind in names]
+        self._moves_root = min(dimension for _, dimension in self._moved) < FEET.start
 
     def motion(self, x: Array) -> Motion:
         goal, amplitude = self._modulation(x[None])
@@ -232,12 +232,7 @@ class ImitationProblem(Problem):
         tables["foot_pos"] = feet.foot_pos_b
         tables["joint_pos"] = feet.joint_pos
         tables["joint_vel"] = feet.joint_vel
-        v = feet.joint_vel
-        tables["joint_acc"] = (
-            (np.roll(v, -1, axis=1) - np.roll(v, 1, axis=1)) * (0.5 * self.config.rate_hz)
-            if self._repeats
-            else np.gradient(v, 1.0 / self.config.rate_hz, axis=1)
-        )
+        tables["joint_acc"] = rate_of(feet.joint_vel, self.config.rate_hz, self._repeats)
         return tables
 
     def score(self, rollout: Rollout) -> Array:
@@ -250,16 +245,11 @@ class ImitationProblem(Problem):
         steps = round(duration_s * self.config.rate_hz)
         return perturbed_start(episodes, self.demonstration.n_samples, rng), steps
 
-    def _moved(self, kind: str) -> list[tuple[int, str]]:
-        """Positions in the vector and dimensions of all goals, or all amplitudes."""
-        names = [parameter.name.split(".") for parameter in self.parameters]
-        return [(i, dimension) for i, (dimension, of) in enumerate(names) if of == kind]
-
     def _modulation(self, x: Array) -> tuple[Array, Array]:
         goal = np.repeat(self.dmp.goal[None], len(x), axis=0)
         amplitude = np.repeat(self.dmp.amplitude[None], len(x), axis=0)
-        goal[:, list(self._goals.values())] = x[:, list(self._goals)]
-        amplitude[:, list(self._amplitudes.values())] = x[:, list(self._amplitudes)]
+        for (kind, dimension), values in zip(self._moved, x.T, strict=True):
+            (goal if kind == "goal" else amplitude)[:, dimension] = values
         return goal, amplitude
 
 

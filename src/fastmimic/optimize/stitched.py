@@ -32,7 +32,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
 from fastmimic.primitive import MotionDmp
-from fastmimic.primitive.motion_dmp import foot_table
+from fastmimic.primitive.motion_dmp import foot_table, rate_of
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
@@ -139,12 +139,11 @@ class StitchedProblem(Problem):
             change = quat_multiply(quat_conjugate(cycle["root_quat"])[None], candidate["root_quat"])
             turn += share * rotvec_from_quat(change)[:, at]
         tables["root_quat"] = quat_multiply(tables["root_quat"], quat_from_rotvec(turn))
-        reached = foot_table(self.robot, feet, self.demonstration.rate_hz)
-        tables["foot_pos"], tables["joint_pos"] = reached.foot_pos_b, reached.joint_pos
-        dt = self.demonstration.dt
-        tables["joint_vel"] = np.gradient(reached.joint_pos, dt, axis=1)
+        rate_hz = self.demonstration.rate_hz
+        reached = foot_table(self.robot, feet, rate_hz, periodic=False)
+        tables["foot_pos"], tables["joint_pos"], tables["joint_vel"] = reached[:3]
         for name, velocity in (("joint_acc", "joint_vel"), ("lin_acc", "lin_vel"), ("ang_acc", "ang_vel")):
-            tables[name] = np.gradient(tables[velocity], dt, axis=1)
+            tables[name] = rate_of(tables[velocity], rate_hz, periodic=False)
         return tables
 
     def score(self, rollout: Rollout) -> Array:

@@ -166,11 +166,14 @@ def foot_table(robot: Robot, foot_pos_b: Array, rate_hz: float, periodic: bool =
     shift, count = np.zeros((n, 4)), np.zeros((n, 4), dtype=np.int64)
     limits = np.stack([robot.joint_lower, robot.joint_upper])
     _reach(robot.geometry, limits, feet, joint_pos, shift, count)
+    return FootTable(feet, joint_pos, rate_of(joint_pos, rate_hz, periodic), shift, count)
+
+
+def rate_of(values: Array, rate_hz: float, periodic: bool) -> Array:
+    """Central differences in time, per second, of n courses (n, t, k)."""
     if periodic:
-        joint_vel = (np.roll(joint_pos, -1, axis=1) - np.roll(joint_pos, 1, axis=1)) * (0.5 * rate_hz)
-    else:
-        joint_vel = np.asarray(np.gradient(joint_pos, 1.0 / rate_hz, axis=1))
-    return FootTable(feet, joint_pos, joint_vel, shift, count)
+        return (np.roll(values, -1, axis=1) - np.roll(values, 1, axis=1)) * (0.5 * rate_hz)
+    return np.asarray(np.gradient(values, 1.0 / rate_hz, axis=1))
 
 
 @inlined

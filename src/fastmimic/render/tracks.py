@@ -84,16 +84,15 @@ def resample(track: Track, rate_hz: float, times: Array) -> Array:
 
 def resample_points(track: AnimalTrack, rate_hz: float, times: Array) -> Array:
     """Points of an animal at `times` (n,) s, (n, k, 3); after the last sample they stay."""
-    points = np.asarray(track.points_w, dtype=np.float64)
-    return _interpolated(points.reshape(len(points), -1), rate_hz * times).reshape(-1, *points.shape[1:])
+    return _interpolated(np.asarray(track.points_w, dtype=np.float64), rate_hz * times)
 
 
 def _interpolated(rows: Array, at: Array) -> Array:
-    """Values (n, k) between rows (t, k) at the indices (n,), those outside at the ends."""
+    """Values (n, ...) between rows (t, ...) at the indices (n,), those outside at the ends; without n for one index."""
     at = np.clip(at, 0, len(rows) - 1)
     low = np.minimum(at.astype(np.int64), max(len(rows) - 2, 0))
     high = np.minimum(low + 1, len(rows) - 1)
-    return np.asarray(rows[low] + (at - low)[:, None] * (rows[high] - rows[low]))
+    return np.asarray(rows[low] + (at - low)[(..., *[None] * (rows.ndim - 1))] * (rows[high] - rows[low]))
 
 
 def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.bool_]:
@@ -170,14 +169,11 @@ class Animal:
         self._periodic = motion.target.cycle is not None
         self._samples = motion.target.n_samples
 
-    def at(self, points: Array, sample: int) -> Array:
-        """`points` or `body` (t, k, 3) at a sample of the demonstration: (k, 3)."""
-        n = len(points)
-        share = sample / self._samples if self._periodic else sample / max(self._samples - 1, 1)
-        at = share * (n if self._periodic else n - 1)
-        low = min(int(at), n - 1)
-        high = (low + 1) % n if self._periodic else min(low + 1, n - 1)
-        return np.asarray(points[low] + (at - low) * (points[high] - points[low]))
+    def at(self, points: Array, sample: NDArray[np.int64] | int) -> Array:
+        """`points` or `body` (t, k, 3) at samples (n,) of the demonstration, or at one: (n, k, 3) or (k, 3)."""
+        course = np.concatenate([points, points[:1]]) if self._periodic else points
+        last = self._samples if self._periodic else max(self._samples - 1, 1)
+        return _interpolated(course, np.asarray(sample) / last * (len(course) - 1))
 
 
 def animal_track(
@@ -187,6 +183,6 @@ def animal_track(
     animal = Animal(clip, robot, motion)
     path = motion_track(motion.target, duration_s)
     heading = rotations.yaw_from_quat(path.root_quat_wxyz)
-    points = np.array([animal.at(animal.body, i % motion.target.n_samples) for i in range(len(path.root_pos_w))])
+    points = animal.at(animal.body, np.arange(len(path.root_pos_w)) % motion.target.n_samples)
     points[..., :2] = path.root_pos_w[:, None, :2] + rotations.rotate_planar(heading[:, None], points[..., :2])
     return AnimalTrack(points, animal.skeleton, title, caption)

@@ -17,7 +17,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
 from fastmimic.base.rotations import yaw_from_quat
-from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, VideoFile
+from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, encoded, encoder_arguments
 from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
 from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
 from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene, ghost_rgba, leg_rgba
@@ -155,7 +155,7 @@ def render_video(
     count = max(1, round(max(_samples(t) for t in tracks) / rate_hz * (fps * slow_motion)))
     times = np.arange(count) / (fps * slow_motion)  # in the motion, s
     frames = _frames(times, window_s)
-    video = VideoFile(path, drawn_size, size, fps, quality, frames=len(frames))
+    arguments = encoder_arguments(path, drawn_size, size, fps, quality, len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
     video_scene = _build(robot, shown, drawn_size, quality, loop_m)
     overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
@@ -168,8 +168,8 @@ def render_video(
             for _ in range(number):
                 panels = _panels(video_scene, robot, shown, times, drawn_size, columns)
                 painters.append(stack.enter_context(_painter(video_scene, panels, columns)))
-            with video:
-                _film(painters, frames, times, overlay, video, progress)
+            write = stack.enter_context(encoded(path, arguments))
+            _film(painters, frames, times, overlay, write, progress)
     except NoRendererError as error:
         _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
         return None
@@ -206,7 +206,7 @@ def _film(
     frames: range,
     times: Array,
     overlay: Overlay,
-    video: VideoFile,
+    write: Callable[[NDArray[np.uint8]], None],
     progress: Callable[[int, int], None] | None,
 ) -> None:
     """Labels and writes the frames in order, while the painters draw the next ones by turns."""
@@ -216,7 +216,7 @@ def _film(
         if (following := done - 1 + len(painters)) < len(frames):
             ahead.append(painters[(done - 1) % len(painters)](frames[following]))
         overlay.draw(frame, float(times[i]))
-        video.write(frame)
+        write(frame)
         if progress is not None:
             progress(done, len(frames))
 
