@@ -15,7 +15,7 @@ repeats the work of a killed one. Every builder ends by making the index from th
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -33,7 +33,7 @@ from fastmimic.imitation.methods import RL, method_named
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
-from fastmimic.optimize.parameters import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice, SearchSettings
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization
 from fastmimic.robot import load_robot
@@ -62,7 +62,7 @@ class DamagedError(LibraryError):
 
 
 @dataclass(frozen=True)
-class BuildSettings:
+class BuildSettings(SearchSettings):
     """Settings of all jobs of a library.
 
     Attributes:
@@ -99,13 +99,6 @@ class BuildSettings:
                 raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
         if not self.evaluation_s > 0:
             raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""
-        found = asdict(self)
-        if self.choice == FinalChoice():
-            del found["choice"]
-        return found
 
     @cached_property
     def digest(self) -> str:

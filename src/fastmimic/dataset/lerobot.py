@@ -14,6 +14,7 @@ from fastmimic.base.rotations import quat_rotate_inverse
 from fastmimic.dataset.index import require_pyarrow
 from fastmimic.episode.rollout import Rollout
 from fastmimic.robot import Robot
+from fastmimic.robot.state import commanded_torque
 
 _PATH: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _FIRST: Final = _PATH.format(chunk_index=0, file_index=0)
@@ -69,8 +70,7 @@ def _episode(rollout: Rollout, i: int, robot: Robot, every: int) -> Columns:
     """The columns of an episode's frames."""
     log, lived, sign = rollout.course, int(rollout.steps[i]), robot.joint_sign
     state, command = log.observation[i, : max(lived - 1, 0) : every], log.command[i, 1:lived:every]
-    error, speed_error = command["joint_pos"] - state["joint_pos"], command["joint_vel"] - state["joint_vel"]
-    torque = command["torque"] + command["stiffness"] * error + command["damping"] * speed_error
+    torque = commanded_torque(command, state["joint_pos"], state["joint_vel"])
     torque = np.clip(torque, -robot.torque_limit, robot.torque_limit)
     gyro = quat_rotate_inverse(state["root_quat"], state["ang_vel"])
     seen = np.hstack([sign * state["joint_pos"], sign * state["joint_vel"], state["root_quat"], gyro])

@@ -33,7 +33,7 @@ from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Progress
-from fastmimic.optimize.parameters import FinalChoice
+from fastmimic.optimize.parameters import FinalChoice, SearchSettings
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CHECKPOINT, ENVIRONMENT, MOTION, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
@@ -58,7 +58,7 @@ _WARM_UP_S: Final = 0.01
 
 
 @dataclass(frozen=True)
-class ComparisonSettings:
+class ComparisonSettings(SearchSettings):
     """Settings of all runs of a comparison."""
 
     robot: str = "a1"  # its name, or the path of its MJCF
@@ -69,13 +69,6 @@ class ComparisonSettings:
     evaluation_s: float = EVALUATION_S  # length of the evaluation's episodes, s; at most a motion that does not repeat
     perturbed_episodes: int = PERTURBED_EPISODES  # number of evaluation episodes from perturbed starts
     choice: FinalChoice = FinalChoice()  # how a search chooses its result
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""
-        found = asdict(self)
-        if self.choice == FinalChoice():
-            del found["choice"]
-        return found
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
@@ -34,27 +34,11 @@ class Subject:
     controller: MakeController | None = None  # of a trained policy; None for the model-based one
     policy: str = ""  # identifies the policy; empty without one
 
-    def run(
-        self,
-        robot: Robot,
-        seconds: float,
-        start: Start,
-        conditions: Conditions,
-        *,
-        config: ControllerConfig | None = None,
-        log: bool = False,
-    ) -> Rollout:
-        """Episodes of its motion; `config` in place of its own."""
-        return run_episodes(
-            robot,
-            self.motion,
-            start=start,
-            duration_s=seconds,
-            config=config if config is not None else self.config,
-            conditions=conditions,
-            controller=self.controller,
-            log=log,
-        )
+    def run(self, robot: Robot, seconds: float, start: Start, conditions: Conditions, **others: Any) -> Rollout:
+        """Episodes of its motion; `others` are further arguments of `run_episodes`, such as `config` in place of its
+        own."""
+        others = {"config": self.config, "controller": self.controller} | others
+        return run_episodes(robot, self.motion, start=start, duration_s=seconds, conditions=conditions, **others)
 
     @property
     def digest(self) -> str:

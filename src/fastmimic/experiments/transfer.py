@@ -112,7 +112,7 @@ def run_trials(
     seconds = episode_duration(motion, settings.duration_s)
     start = trial_starts(settings.trials, settings.seed)
     for stage in (*stages, IDENTIFIED) if settings.identify else stages:
-        config = identified_config(subject, robot, settings) if stage is IDENTIFIED else None
+        config = identified_config(subject, robot, settings) if stage is IDENTIFIED else subject.config
         rollout = subject.run(robot, seconds, start, stage.conditions(settings.seed), config=config)
         rows += [
             {

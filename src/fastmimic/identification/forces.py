@@ -19,6 +19,7 @@ from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import inverse_dynamics, leg_torques
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.robot.state import commanded_torque
 
 SMOOTHING_S: Final = 0.03  # window of the smoothing quadratic: short against a stance, long against the noise
 LEAST_S: Final = 1.0  # shortest usable log
@@ -103,9 +104,7 @@ def _mean_torque(log: RunLog, robot: Robot, late: int) -> Array:
     sent = {name: _delayed(command[name], late) for name in command.dtype.names or ()}
 
     def law(q: Array, dq: Array) -> Array:
-        torque = sent["torque"] + sent["stiffness"] * (sent["joint_pos"] - q)
-        torque += sent["damping"] * (sent["joint_vel"] - dq)
-        return np.clip(torque, -robot.torque_limit, robot.torque_limit)
+        return np.clip(commanded_torque(sent, q, dq), -robot.torque_limit, robot.torque_limit)
 
     return np.asarray(log.reading["torque"] + 0.5 * (law(_delayed(q, 1), _delayed(dq, 1)) - law(q, dq)))
 

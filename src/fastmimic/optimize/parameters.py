@@ -2,8 +2,8 @@
 search chooses its result among its best candidates."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, MotionError, unknown
@@ -141,3 +141,16 @@ class FinalChoice:
     def simulated_s(self) -> float:
         """Time to simulate for the validation on one robot, s."""
         return self.candidates * self.episodes * self.duration_s
+
+
+class SearchSettings:
+    """What dataclasses of settings with a `choice` have in common."""
+
+    choice: FinalChoice
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, JSON-serialisable; `choice` only if it is not the usual one."""
+        found = asdict(self)  # type: ignore[call-overload]
+        if self.choice == FinalChoice():
+            del found["choice"]
+        return dict(found)

@@ -226,9 +226,8 @@ def motion_figure(motion: Motion, robot: Robot) -> Figure:
     """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic), and
     its use of the limits. Behind an executable motion is the animal's."""
     figure = style.new_figure(15.0, 9.8, _heading(motion, robot))
-    angles_at, speeds_at = (tuple(f"{what} {joint}" for joint in JOINTS_PER_LEG) for what in ("angle", "speed"))
-    left = ("gait", "height", "tilt")
-    rows: list[Any] = [list(row) for row in zip(left, angles_at, speeds_at, strict=True)]
+    left = zip(("gait", "height", "tilt"), JOINTS_PER_LEG, strict=True)
+    rows: list[Any] = [[name, f"{joint} angle", f"{joint} speed"] for name, joint in left]
     panels: dict[str, Axes] = figure.subplot_mosaic([*rows, ["use", "use", "use"]], sharex=True)
     animal = motion.target.animal
     time = np.arange(motion.n_samples, dtype=np.float64) / motion.rate_hz
@@ -243,26 +242,21 @@ def motion_figure(motion: Motion, robot: Robot) -> Figure:
     )
     _widen(panels["height"], 0.04)
     _draw_tilt(panels["tilt"], time, motion.root_quat_wxyz)
-    lower, upper, speed = (
-        np.asarray(a).reshape(4, 3) for a in (robot.joint_lower, robot.joint_upper, robot.joint_speed_limit)
-    )
-    angles, rates = (a.reshape(-1, 4, 3) for a in (motion.joint_pos, motion.joint_vel))
-    for joint, name in enumerate(JOINTS_PER_LEG):
+    speed = robot.joint_speed_limit
+    peak = 100 * np.max(np.abs(motion.joint_vel) / speed, axis=0)
+    for i, joint in enumerate(JOINTS_PER_LEG):
+        angle, rate = panels[f"{joint} angle"], panels[f"{joint} speed"]
         if animal is not None:
-            for axes, values in (
-                (panels[angles_at[joint]], animal.joint_pos),
-                (panels[speeds_at[joint]], animal.joint_vel),
-            ):
-                axes.plot(time, values[:, joint::3], **_ANIMAL)
-        _draw_joint(panels[angles_at[joint]], time, angles[:, :, joint], lower[0, joint], upper[0, joint])
-        style.tidy(panels[angles_at[joint]], f"{name} angle", ylabel="rad")
-        _draw_joint(panels[speeds_at[joint]], time, rates[:, :, joint], -speed[0, joint], speed[0, joint])
-        share = 100 * np.max(np.abs(rates[:, :, joint]) / speed[:, joint])
-        style.tidy(panels[speeds_at[joint]], f"{name} speed: peak is {share:.0f} % of the limit", ylabel="rad/s")
+            angle.plot(time, animal.joint_pos[:, i::3], **_ANIMAL)
+            rate.plot(time, animal.joint_vel[:, i::3], **_ANIMAL)
+        _draw_joint(angle, time, motion.joint_pos[:, i::3], robot.joint_lower[i], robot.joint_upper[i])
+        _draw_joint(rate, time, motion.joint_vel[:, i::3], -speed[i], speed[i])
+        style.tidy(angle, f"{joint} angle", ylabel="rad")
+        style.tidy(rate, f"{joint} speed: peak is {peak[i::3].max():.0f} % of the limit", ylabel="rad/s")
     panels["gait"].set_xlim(0, motion.period_s)
     _draw_use(panels["use"], motion, robot)
     panels["use"].set_xlabel("time (s)", fontsize=9, color=MUTED)
-    style.legend_below(figure, panels[angles_at[0]])
+    style.legend_below(figure, panels[f"{JOINTS_PER_LEG[0]} angle"])
     return figure
 
 

@@ -12,8 +12,9 @@ from fastmimic.base.files import read_json
 from fastmimic.deploy.account import robot_of, summary_rows, with_result
 from fastmimic.deploy.log import RESULT, DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
+from fastmimic.report import html_page as draw
 from fastmimic.report.html_episodes import against_limit
-from fastmimic.report.html_page import Figure, HtmlReport, Key, Plot, greatest, layout_of, numbers, render, time_plot
+from fastmimic.report.html_page import Figure, HtmlReport, Key, Plot, greatest, numbers, render, time_plot
 
 ROBOT: Final = Key("the robot", "var(--after)")
 BINS: Final = 60
@@ -38,7 +39,7 @@ def deployment_page(path: Path) -> HtmlReport:
             about = read_json(path / RESULT)
         title = f"{about['motion']} on {about['robot']}, deployed by driver {about['driver']}"
         summary = dict(summary_rows(about["result"]))
-        given = {name.replace("_", "-"): value for name, value in about.get("arguments", {}).items()}
+        arguments = draw.said_arguments(about.get("arguments", {}))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
     return render(
@@ -49,7 +50,7 @@ def deployment_page(path: Path) -> HtmlReport:
         about=about,
         summary=summary,
         sections=sections,
-        arguments={name: value for name, value in given.items() if value not in (None, False, "", [])},
+        arguments=arguments,
     )
 
 
@@ -132,7 +133,7 @@ def _histograms(rows: NDArray[Any]) -> Figure:
         look = {"marker": {"color": ROBOT.color}, "hovertemplate": "%{x:.0f} µs: %{y}"}
         bars = {"type": "bar", "x": numbers(middle), "y": counts.tolist(), **look}
         note = f"median {np.median(us):.0f} µs, 99 % below {np.percentile(us, 99):.0f} µs"
-        plots.append(Plot(title, [bars], layout_of("µs", "periods", 220), note))
+        plots.append(Plot(title, [bars], draw.layout_of("µs", "periods", 220), note))
         said.append(f"{name} {np.median(us):.0f} µs")
     return Figure(
         "histograms",

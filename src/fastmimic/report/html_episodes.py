@@ -15,6 +15,7 @@ from fastmimic.episode.rollout import Log
 from fastmimic.experiments.measurement import foot_courses
 from fastmimic.report import html_page as draw
 from fastmimic.report.html_page import BEFORE, DEMONSTRATION, LIMIT, ONLY, STANCE, Figure, Key, Plot, arrow, numbers
+from fastmimic.robot.state import commanded_torque
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 if TYPE_CHECKING:
@@ -321,9 +322,5 @@ def motor_torque(log: Log, limit: Array) -> Array:
     NaN in the first step, where the state is not logged."""
     command, seen = log.command[0], log.observation[0]
     torque = np.full(command["torque"].shape, np.nan)
-    torque[1:] = (
-        command["torque"][1:]
-        + command["stiffness"][1:] * (command["joint_pos"][1:] - seen["joint_pos"][:-1])
-        + command["damping"][1:] * (command["joint_vel"][1:] - seen["joint_vel"][:-1])
-    )
+    torque[1:] = commanded_torque(command[1:], seen["joint_pos"][:-1], seen["joint_vel"][:-1])
     return np.asarray(np.clip(torque, -limit, limit))

@@ -129,17 +129,15 @@ def bar_marker(key: Key, **pattern: Any) -> dict[str, Any]:
 def layout_of(
     x: str,
     y: str,
-    height: int = 240,
+    height: int,
     xrange: tuple[float, float] | None = None,
     yrange: tuple[float, float] | None = None,
     **more: Any,
 ) -> dict[str, Any]:
-    xaxis: dict[str, Any] = {"title": {"text": x}}
-    yaxis: dict[str, Any] = {"title": {"text": y}}
-    for axis, shown in ((xaxis, xrange), (yaxis, yrange)):
-        if shown is not None:
-            axis["range"] = numbers(shown)
-    return {"height": height, "xaxis": xaxis, "yaxis": yaxis, **more}
+    def axis(title: str, shown: tuple[float, float] | None) -> dict[str, Any]:
+        return {"title": {"text": title}} | ({} if shown is None else {"range": numbers(shown)})
+
+    return {"height": height, "xaxis": axis(x, xrange), "yaxis": axis(y, yrange), **more}
 
 
 def time_plot(
@@ -196,6 +194,15 @@ def numbers(values: Any, digits: int = 5) -> list[float | None]:
     return [
         float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=np.float64).tolist()
     ]
+
+
+def said_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The arguments of a command that say something, for a page."""
+    arguments = {k.replace("_", "-"): v for k, v in given.items() if v is not False and v not in (None, "", [])}
+    for name in ("motions", "cycles"):
+        if name in arguments:
+            arguments[name] = " ".join(str(v) for v in arguments[name])
+    return {k: "yes" if v is True else v for k, v in arguments.items()}
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
         shown=_Metrics(m),
         video=run.video,
         sections=sections,
-        arguments=_arguments(run.config.get("arguments", {})),
+        arguments=draw.said_arguments(run.config.get("arguments", {})),
         about=_about(run),
         controller=json.dumps(controller, indent=2, ensure_ascii=False) if controller else "",
         legs=LEGS,
@@ -258,14 +258,6 @@ def _sections(run: RunData) -> dict[str, list[Figure]]:
         "limits": [*html_episodes.limits(e), html_episodes.friction(e)],
         "times": [] if solved is None else [solved],
     }
-
-
-def _arguments(given: Mapping[str, Any]) -> dict[str, Any]:
-    arguments = {k.replace("_", "-"): v for k, v in given.items() if v is not False and v not in (None, "", [])}
-    for name in ("motions", "cycles"):
-        if name in arguments:
-            arguments[name] = " ".join(str(v) for v in arguments[name])
-    return {k: "yes" if v is True else v for k, v in arguments.items()}
 
 
 def _about(run: RunData) -> dict[str, Any]:

@@ -27,6 +27,13 @@ and the number of ground contacts other than feet, on terrain of the trunk."""
 COMMAND: Final = record_dtype(floats(joint_pos=12, joint_vel=12, stiffness=12, damping=12, torque=12))
 """One robot's command: the motors apply torque + stiffness (joint_pos − q) + damping (joint_vel − dq)."""
 
+
+def commanded_torque(command: Any, q: NDArray[np.float64], dq: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What the motors apply (..., 12), N·m, with commands (...) at joint angles and speeds (..., 12), without limit."""
+    torque = command["torque"] + command["stiffness"] * (command["joint_pos"] - q)
+    return np.asarray(torque + command["damping"] * (command["joint_vel"] - dq))
+
+
 MEMORY: Final = record_dtype(
     [
         *integers(stance=4, early=4, was_loaded=4, began=(), recovering=(), taken_up=(), grounded=()),
