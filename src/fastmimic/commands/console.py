@@ -1,5 +1,6 @@
 """Output of the verbs: results on stdout, notes and progress on stderr."""
 
+import json
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,8 +30,6 @@ def put(*lines: str) -> None:
 
 def put_json(value: Mapping[str, Any]) -> None:
     """Prints one JSON object on stdout; infinite and undefined numbers become null."""
-    import json
-
     from fastmimic.base.text import plain
 
     put(json.dumps(plain(value), allow_nan=False))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
+from numpy.typing import NDArray
 from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.errors import ConfigError, DriverError, OutputError, unknown
@@ -21,19 +22,18 @@ from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, pu
 from fastmimic.commands.deployment_logs import is_whole
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface
-from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, make_driver
+from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, RobotDriver, make_driver
 from fastmimic.deploy.log import ENDING, LOG, RESULT, ground_truth_writer, open_deployment
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.loading import find_motion
 from fastmimic.runs.work_folder import MOTION, default_folder
+from fastmimic.simulation.conditions import Conditions, parse_disturbance
+from fastmimic.simulation.config import ideal_sensors
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from fastmimic.deploy.deployment import Deployment
-    from fastmimic.deploy.driver import RobotDriver
     from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.deploy.state_machine import StateMachine
 
@@ -204,9 +204,8 @@ class Deploy:
                 motion, robot, driver, options, clock=clock, switch=switch, on_ready=ready, watch=watch, note=note
             )
 
-    def _simulated(self, robot: Robot, clock: Any) -> "RobotDriver":
+    def _simulated(self, robot: Robot, clock: Any) -> RobotDriver:
         from fastmimic.deploy.sim import LinkFaults, SimDriver
-        from fastmimic.simulation.conditions import Conditions
 
         given = self.simulated
         disturbances: Any = opt.joined(given.disturb)
@@ -240,7 +239,7 @@ class Deploy:
         return EXIT_INTERRUPTED if outcome.stopped_by in (StopReason.KEY, StopReason.SIGNAL) else EXIT_VIOLATION
 
 
-def _answers(driver: "RobotDriver") -> bool:
+def _answers(driver: RobotDriver) -> bool:
     """Whether a robot answers; it is not moved."""
     try:
         with driver:
@@ -352,8 +351,6 @@ class RobotSim:
         """The checked settings of the server."""
         from fastmimic.deploy.sim import LinkFaults
         from fastmimic.deploy.sim_server import SimSettings
-        from fastmimic.simulation.conditions import parse_disturbance
-        from fastmimic.simulation.config import ideal_sensors
 
         check_interface(self.interface)
         if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in SIMULATED:

@@ -2,18 +2,16 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, slow_start
 from fastmimic.deploy.log import DeploymentLog, load_ground_truth
-
-if TYPE_CHECKING:  # loads the compiler
-    from fastmimic.robot import Robot
+from fastmimic.robot import Robot
 
 
-def open_log(command: Any, reading: opt.ClipReading, *taken: str) -> "tuple[Robot, DeploymentLog]":
+def open_log(command: Any, reading: opt.ClipReading, *taken: str) -> tuple[Robot, DeploymentLog]:
     """The robot and the log that a command's `motion` names, by its `robot` and its `truth` if they are given. Raises
     `ConfigError` if an option of a clip's `reading` is given, or another one than those and the ones `taken`."""
     from fastmimic.deploy.account import robot_of, with_result

@@ -18,6 +18,7 @@ from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot import ROBOT_CHOICES, load_robot
+from fastmimic.simulation.conditions import Conditions
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
@@ -64,7 +65,6 @@ class Evaluate:
             return self._deployed()
         check_truth(self.motion, self.truth)
         from fastmimic.imitation.evaluate import evaluate
-        from fastmimic.simulation.conditions import Conditions
 
         estimator = EstimatorConfig(foot_force=self.foot_force)
         conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb), estimator=estimator)

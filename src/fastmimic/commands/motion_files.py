@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 from tyro.conf import Positional
@@ -13,6 +13,7 @@ from fastmimic.clips.catalogue import describe, open_parts
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
 from fastmimic.clips.formats import FORMATS
+from fastmimic.clips.segment import DISCRETE, Segment, find_segments
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, put_json, put_table, slow_start
 from fastmimic.commands.show import describe_robot, note_origin, provenance
@@ -22,9 +23,6 @@ from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import DmpRecord
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.loading import find_motion
-
-if TYPE_CHECKING:
-    from fastmimic.clips.segment import Segment
 
 FIGURES: Final = (".png", ".pdf", ".svg")
 LEROBOT: Final = "lerobot"  # the format of executed runs
@@ -271,8 +269,6 @@ class SegmentTake:
     file: opt.FileReading
 
     def run(self) -> int:
-        from fastmimic.clips.segment import DISCRETE, find_segments
-
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
         parts = open_parts(self.take, **self.file.overrides())
         rate_hz, segments = parts[0][1].rate_hz, [s.later(first) for first, clip in parts for s in find_segments(clip)]
@@ -302,7 +298,7 @@ class SegmentTake:
         return 0
 
 
-def _segment_row(segment: "Segment", rate_hz: float) -> tuple[str, ...]:
+def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
     return (
         f"{segment.start}:{segment.end}",
         segment.gait,

@@ -7,6 +7,7 @@ A leg's motors carry and accelerate it, and the ground does the rest: τ = τ_fr
 from dataclasses import dataclass
 from typing import Final
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
@@ -146,8 +147,6 @@ def _vertical_need(
     robot: Robot, rotation: Array, q: Array, dq: Array, ddq: Array, gyro: Array, turning: Array, accel: Array
 ) -> Array:
     """(t,) vertical ground reaction force of the unloaded robot in the logged motion, by inverse dynamics, N."""
-    import mujoco
-
     position = np.zeros((len(q), 19))
     position[:, :3], position[:, 7:] = robot.model().qpos0[:3], q
     for row, frame in zip(position, rotation, strict=True):

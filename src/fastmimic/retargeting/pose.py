@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import (
@@ -75,8 +76,6 @@ def folding_rise(
 ) -> Array:
     """The rise (t,) of the base, m, that keeps folded legs within their limits and knees off the ground. It is the
     least in steps of 5 mm, at most `config.max_raising_m`, and smooth. Arguments as in `solve_pose`."""
-    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
-
     quat = trunk_quaternion(track.heading, track.tilt)
     rest = track.root_z - track.root_z.mean() + height
     least, best = np.full(len(rest), np.inf), np.zeros(len(rest))

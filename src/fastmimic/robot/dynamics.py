@@ -1,16 +1,14 @@
 """Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo. The closed form is
 recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y), with every vector in the body frame."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
+from fastmimic.robot.robot import Robot
 from fastmimic.robot.state import pack_model
-
-if TYPE_CHECKING:
-    from fastmimic.robot.robot import Robot
 
 
 @inlined
@@ -142,7 +140,7 @@ def _inverse_dynamics(
 
 
 def leg_torques(
-    robot: "Robot", joint_pos: Array, joint_vel: Array, joint_acc: Array, ang_vel_b: Array, acceleration_b: Array
+    robot: Robot, joint_pos: Array, joint_vel: Array, joint_acc: Array, ang_vel_b: Array, acceleration_b: Array
 ) -> Array:
     """Joint torques (n, 12), N·m, rotor inertia included, that move the legs while no foot touches the ground. Joints
     are (n, 12) rad, rad/s, rad/s². `ang_vel_b` (n, 3), rad/s, is the trunk's; `acceleration_b` (n, 3), m/s², is that of
@@ -154,7 +152,7 @@ def leg_torques(
     return out
 
 
-def inverse_dynamics(robot: "Robot", position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+def inverse_dynamics(robot: Robot, position: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
     """Generalised forces (k, 18) that move the whole robot without contacts, and its centre of mass (k, 3), world, m.
 
     `position` (k, 19) is base position (world, m), quaternion (w, x, y, z) and joints (rad); `velocity` (k, 18) is base

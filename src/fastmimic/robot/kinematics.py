@@ -9,16 +9,13 @@ abduction frame, and t and c are thigh and calf in their plane.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
-
-if TYPE_CHECKING:
-    from fastmimic.robot.robot import Robot
+from fastmimic.robot.robot import Robot
 
 
 @inlined
@@ -101,24 +98,24 @@ def _inverse(rows: Array, p: Array, q: Array, reachable: Array) -> None:
             reachable[n, leg] = ok
 
 
-def _of_legs(compute: Callable[..., None], robot: "Robot", joint_pos: Array, *shape: int) -> Array:
+def _of_legs(compute: Callable[..., None], robot: Robot, joint_pos: Array, *shape: int) -> Array:
     q = np.ascontiguousarray(joint_pos, dtype=np.float64)
     out = np.empty((q.size // 12, *shape))
     compute(robot.geometry, q.reshape(-1, 12), out)
     return out.reshape(*q.shape[:-1], *shape)
 
 
-def foot_positions(robot: "Robot", joint_pos: Array) -> Array:
+def foot_positions(robot: Robot, joint_pos: Array) -> Array:
     """Foot centres (..., 4, 3), body frame, m, at joint angles (..., 12), rad."""
     return _of_legs(_forward, robot, joint_pos, 4, 3)
 
 
-def foot_jacobians(robot: "Robot", joint_pos: Array) -> Array:
+def foot_jacobians(robot: Robot, joint_pos: Array) -> Array:
     """Jacobians (..., 4, 3, 3), m/rad, of each foot (body frame) by its leg's joints, at angles (..., 12), rad."""
     return _of_legs(_jacobians, robot, joint_pos, 4, 3, 3)
 
 
-def inverse_kinematics(robot: "Robot", foot_pos_b: Array) -> tuple[Array, NDArray[np.bool_]]:
+def inverse_kinematics(robot: Robot, foot_pos_b: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Joint angles (..., 12), rad, for foot centres (..., 4, 3), body frame, m; and whether each is reachable (..., 4).
     Joint ranges are not considered. Out of reach, the angles are those of the nearest reachable point in the leg's
     plane."""

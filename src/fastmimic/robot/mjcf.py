@@ -7,17 +7,16 @@ import re
 import xml.etree.ElementTree as ElementTree
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
+import mujoco
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import RobotError
+from fastmimic.base.rotations import matrix_from_quat, quat_multiply, quat_rotate
 from fastmimic.robot.robot import Robot, combined
-
-if TYPE_CHECKING:
-    import mujoco
 
 DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0  # rad/s, for a model without a `joint_speed_limit`; MJCF has no element for it
 
@@ -33,8 +32,6 @@ MOST_ELEMENTS: Final = 5000  # of a robot's XML, copies counted; MuJoCo takes mi
 
 def warn_by_log() -> None:
     """Has MuJoCo's warnings logged, unless the user has a handler: it would write MUJOCO_LOG.TXT where one works."""
-    import mujoco
-
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(logging.getLogger("fastmimic").warning)
 
@@ -54,11 +51,9 @@ def check_elements(path: Path) -> None:
                 raise RobotError(f"more than {MOST_ELEMENTS} elements, copies counted; a robot has some hundreds")
 
 
-def robot_from_spec(spec: "mujoco.MjSpec", default_name: str) -> Robot:
+def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
     """Reads a `Robot` from a MuJoCo specification, which may have no name. Raises `RobotError`: the model does not
     compile or is not a twelve-joint quadruped."""
-    import mujoco
-
     try:
         _name_spheres(spec)
         model = spec.compile()
@@ -126,7 +121,7 @@ class _Leg(NamedTuple):
     geometry: dict[str, Array]  # by the names of `Robot`
 
 
-def _files_digest(spec: "mujoco.MjSpec") -> str:
+def _files_digest(spec: mujoco.MjSpec) -> str:
     """SHA-256 of the mesh files; empty if there are none."""
     names = [mesh.file for mesh in spec.meshes if mesh.file]
     if not names:
@@ -141,10 +136,8 @@ def _files_digest(spec: "mujoco.MjSpec") -> str:
     return found.hexdigest()
 
 
-def _name_spheres(spec: "mujoco.MjSpec") -> None:
+def _name_spheres(spec: mujoco.MjSpec) -> None:
     """Names unnamed spheres, because scenes address feet by name."""
-    import mujoco
-
     for i, geom in enumerate(spec.geoms):
         if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and not geom.name:
             geom.name = f"sphere_{i}"
@@ -155,9 +148,7 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _trunk(model: "mujoco.MjModel") -> int:
-    import mujoco
-
+def _trunk(model: mujoco.MjModel) -> int:
     hinges = int(np.sum(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1 or hinges != 12 or model.njnt != 13:
@@ -168,7 +159,7 @@ def _trunk(model: "mujoco.MjModel") -> int:
     return int(model.jnt_bodyid[free[0]])
 
 
-def _leg_roots(model: "mujoco.MjModel", trunk: int) -> list[int]:
+def _leg_roots(model: mujoco.MjModel, trunk: int) -> list[int]:
     """Bodies with a hinge directly below the trunk, apart from fixed bodies."""
     roots = [
         int(b) for b in range(trunk + 1, model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == trunk
@@ -178,14 +169,14 @@ def _leg_roots(model: "mujoco.MjModel", trunk: int) -> list[int]:
     return roots
 
 
-def _moving_parent(model: "mujoco.MjModel", body: int) -> int:
+def _moving_parent(model: mujoco.MjModel, body: int) -> int:
     parent = int(model.body_parentid[body])
     while parent and not model.body_jntnum[parent]:
         parent = int(model.body_parentid[parent])
     return parent
 
 
-def _chain(model: "mujoco.MjModel", root: int) -> list[int]:
+def _chain(model: mujoco.MjModel, root: int) -> list[int]:
     """The three bodies of a leg."""
     chain, children = [root], [root]
     while len(children) == 1 and len(chain) <= 3:
@@ -196,14 +187,12 @@ def _chain(model: "mujoco.MjModel", root: int) -> list[int]:
     return chain
 
 
-def _label(model: "mujoco.MjModel", root: int) -> str:
+def _label(model: mujoco.MjModel, root: int) -> str:
     return f"the leg at body '{model.body(root).name}'"
 
 
-def _at_zero(model: "mujoco.MjModel", trunk: int) -> "mujoco.MjData":
+def _at_zero(model: mujoco.MjModel, trunk: int) -> mujoco.MjData:
     """The model with all joints at zero and the trunk upright."""
-    import mujoco
-
     data = mujoco.MjData(model)
     data.qpos[:] = 0
     data.qpos[model.jnt_qposadr[model.body_jntadr[trunk]] + 3] = 1
@@ -211,7 +200,7 @@ def _at_zero(model: "mujoco.MjModel", trunk: int) -> "mujoco.MjData":
     return data
 
 
-def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int) -> list[int]:
+def _reversed(model: mujoco.MjModel, at_zero: mujoco.MjData, root: int) -> list[int]:
     """The joints of a leg that turn about the opposite of the common axis; `RobotError` for any other axis."""
     found = []
     joints = (int(model.body_jntadr[b]) for b in _chain(model, root))
@@ -227,7 +216,7 @@ def _reversed(model: "mujoco.MjModel", at_zero: "mujoco.MjData", root: int) -> l
     return found
 
 
-def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int]) -> None:
+def _turn_round(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: list[int]) -> None:
     """Reverses the axes of joints, by their ids, so that the same robot has other signs."""
     for joint in spec.joints:
         if joint.id in joints:
@@ -243,7 +232,7 @@ def _turn_round(spec: "mujoco.MjSpec", model: "mujoco.MjModel", joints: list[int
         key.qpos = pose
 
 
-def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int) -> _Leg:
+def _leg(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, root: int) -> _Leg:
     """A leg, from the positions of its parts with all joints at zero."""
     chain = _chain(model, root)
     joints = [int(model.body_jntadr[b]) for b in chain]
@@ -269,10 +258,8 @@ def _leg(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int, root: int) 
     return _Leg(joints, foot, geometry)
 
 
-def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, root: int) -> int:
+def _foot_geom(model: mujoco.MjModel, data: mujoco.MjData, calf: int, root: int) -> int:
     """The lowest colliding sphere on the last link or on a body fixed to it."""
-    import mujoco
-
     spheres = [
         g
         for g in range(model.ngeom)
@@ -285,7 +272,7 @@ def _foot_geom(model: "mujoco.MjModel", data: "mujoco.MjData", calf: int, root: 
     return min(spheres, key=lambda g: float(data.geom_xpos[g, 2]))
 
 
-def _order(model: "mujoco.MjModel", legs: list[_Leg]) -> list[int]:
+def _order(model: mujoco.MjModel, legs: list[_Leg]) -> list[int]:
     """Indices of FR, FL, RR, RL among the legs, by hip position."""
     signs = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
     found = [tuple(np.sign(leg.geometry["hip_pos_b"][:2]).astype(int)) for leg in legs]
@@ -296,7 +283,7 @@ def _order(model: "mujoco.MjModel", legs: list[_Leg]) -> list[int]:
     return order
 
 
-def _home(model: "mujoco.MjModel") -> Array:
+def _home(model: mujoco.MjModel) -> Array:
     """The keyframe `home`, or the only one; else the middle of the joints' ranges."""
     for key in range(model.nkey):
         if model.key(key).name == "home" or model.nkey == 1:
@@ -307,10 +294,8 @@ def _home(model: "mujoco.MjModel") -> Array:
     return home
 
 
-def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]:
+def _composite(model: mujoco.MjModel, body: int) -> tuple[float, Array, Array]:
     """Mass, centre of mass and central inertia of a body and all that is fixed to it, in the body's frame."""
-    from fastmimic.base.rotations import matrix_from_quat, quat_multiply, quat_rotate
-
     parts: list[tuple[float, Array, Array]] = []
 
     def collect(b: int, pos: Array, quat: Array) -> None:
@@ -327,7 +312,7 @@ def _composite(model: "mujoco.MjModel", body: int) -> tuple[float, Array, Array]
     return combined(parts)
 
 
-def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> tuple[Array, Array]:
+def _whole_body(model: mujoco.MjModel, data: mujoco.MjData, trunk: int) -> tuple[Array, Array]:
     """Centre of mass and central inertia of the whole robot in the pose of `data`, body frame."""
     rotation = data.xmat[trunk].reshape(3, 3)
     parts = []
@@ -339,7 +324,7 @@ def _whole_body(model: "mujoco.MjModel", data: "mujoco.MjData", trunk: int) -> t
     return rotation.T @ com, rotation.T @ inertia @ rotation
 
 
-def _torque_limits(model: "mujoco.MjModel", joints: list[int]) -> Array:
+def _torque_limits(model: mujoco.MjModel, joints: list[int]) -> Array:
     """From the actuator's force range, the control range of a plain motor, or the joint's own force range."""
     limits = np.zeros(len(joints))
     for i, joint in enumerate(joints):
@@ -371,7 +356,7 @@ def _in_leg_plane(com: Array, legs: list[_Leg]) -> Array:
     return com
 
 
-def _ranges(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, Array, tuple[str, ...]]:
+def _ranges(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, Array, tuple[str, ...]]:
     """Lower and upper limits (12,), rad, and the assumption for joints without a range."""
     lower, upper = model.jnt_range[joints].T.copy()
     free = np.flatnonzero(~model.jnt_limited[joints].astype(bool))
@@ -380,7 +365,7 @@ def _ranges(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, Array, t
     return lower, upper, (f"no range of {names} in the model: ±3.14 rad assumed",) if names else ()
 
 
-def _speed_limit(model: "mujoco.MjModel", joints: list[int]) -> tuple[Array, tuple[str, ...]]:
+def _speed_limit(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, tuple[str, ...]]:
     """Limits (12,), rad/s, and the assumption if there are none."""
     for i in range(model.nnumeric):
         if model.numeric(i).name == SPEED_LIMIT:

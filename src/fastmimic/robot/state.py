@@ -1,14 +1,12 @@
 """Reading, observation, memory and command of a robot, as arrays that kernels, sensors and drivers share."""
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.jit import floats, integers, record_dtype
-
-if TYPE_CHECKING:
-    from fastmimic.robot import Robot
+from fastmimic.robot.robot import Robot
 
 READING: Final = record_dtype(floats(quat=4, gyro=3, accel=3, joint_pos=12, joint_vel=12, torque=12, foot_force=4))
 """One robot's latest readings: the IMU's orientation (body → a world of its own heading), angular velocity, rad/s, and
@@ -65,7 +63,7 @@ MODEL: Final = record_dtype(
 )
 
 
-def pack_model(robot: "Robot") -> NDArray[Any]:
+def pack_model(robot: Robot) -> NDArray[Any]:
     """Packs a robot as an array of one `MODEL` record."""
     record = np.zeros(1, MODEL)
     given = {

@@ -9,16 +9,14 @@ import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+import mujoco
 import numpy as np
 
 from fastmimic.base.errors import RobotError
 from fastmimic.robot.mjcf import SPEED_LIMIT, one_line, robot_from_spec
 from fastmimic.robot.robot import Robot
-
-if TYPE_CHECKING:
-    import mujoco
 
 MOST_FOLDERS: Final = 2000  # that are searched: a vendor's has some dozens
 _MESHES: Final = (".stl", ".obj")  # that MuJoCo reads
@@ -41,8 +39,6 @@ def urdf_in(folder: Path) -> Path:
 def robot_from_urdf(path: Path) -> Robot:
     """Reads a `Robot` from a URDF; `assumed` says what was added or left out. Raises `RobotError`: cannot be read or
     compiled, or not a twelve-joint quadruped."""
-    import mujoco
-
     try:
         tree = ElementTree.fromstring(path.read_bytes())
         notes = _prepare(tree, path)
@@ -97,10 +93,8 @@ def _mesh_file(name: str, folder: Path) -> Path | None:
     return None if found is None else Path(os.path.relpath(found.resolve(), folder.resolve()))
 
 
-def _add_feet(spec: "mujoco.MjSpec") -> list[str]:
+def _add_feet(spec: mujoco.MjSpec) -> list[str]:
     """Adds a sphere to each leg that has none, at the link that is fixed farthest from the knee."""
-    import mujoco
-
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -118,7 +112,7 @@ def _add_feet(spec: "mujoco.MjSpec") -> list[str]:
     return [f"no spheres as feet: assumed at {', '.join(added)}"] if added else []
 
 
-def _standing(spec: "mujoco.MjSpec", name: str, notes: list[str]) -> Robot:
+def _standing(spec: mujoco.MjSpec, name: str, notes: list[str]) -> Robot:
     """The robot with rotors, and a keyframe `home` in which its feet stand below its hips, with bent knees."""
     from fastmimic.robot.kinematics import inverse_kinematics
 
@@ -141,8 +135,6 @@ def _standing(spec: "mujoco.MjSpec", name: str, notes: list[str]) -> Robot:
     return replace(robot, assumed=(*notes, *robot.assumed))
 
 
-def _hinges(spec: "mujoco.MjSpec") -> list["mujoco.MjsJoint"]:
+def _hinges(spec: mujoco.MjSpec) -> list[mujoco.MjsJoint]:
     """The joints but for the trunk's, in the file's order."""
-    import mujoco
-
     return [joint for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
