@@ -3,7 +3,10 @@
 import os
 import platform
 from functools import cache
-from importlib import metadata
+from importlib import import_module, metadata
+from typing import Any
+
+from fastmimic.base.errors import FastMimicError
 
 
 def available_cores() -> int:
@@ -18,3 +21,11 @@ def versions() -> dict[str, str]:
 
 
 _version = cache(metadata.version)
+
+
+def optional(module: str, otherwise: FastMimicError) -> Any:
+    """A module that need not be installed; raises `otherwise` if it is not."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise otherwise from None

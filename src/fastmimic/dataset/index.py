@@ -19,6 +19,7 @@ import msgspec
 
 from fastmimic.base.errors import LibraryError
 from fastmimic.base.files import from_json, packaged, write_text
+from fastmimic.base.machine import optional
 from fastmimic.dataset.excerpts import Excerpt
 
 if TYPE_CHECKING:
@@ -207,11 +208,7 @@ _CHOSEN_BY: Final = (
 
 def require_pyarrow() -> Any:
     """Arrow's Parquet module; raises `LibraryError` with instructions if it is not installed."""
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise LibraryError("Parquet files need Arrow: pip install 'fastmimic[library]'") from None
-    return pyarrow.parquet
+    return optional("pyarrow.parquet", LibraryError("Parquet files need Arrow: pip install 'fastmimic[library]'"))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from itertools import islice
 from typing import Any, Final
 
 from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
-from fastmimic.base.machine import available_cores
+from fastmimic.base.machine import available_cores, optional
 from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
@@ -36,11 +36,7 @@ _LOST: Final = {
 def require_ray() -> Any:
     """Ray's module; raises `ConfigError`, with what to do, if it is not installed."""
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")  # leaves a job's view of the GPUs alone
-    try:
-        import ray
-    except ImportError:
-        raise ConfigError("the executor 'ray' needs Ray: pip install 'fastmimic[ray]'") from None
-    return ray
+    return optional("ray", ConfigError("the executor 'ray' needs Ray: pip install 'fastmimic[ray]'"))
 
 
 class RayExecutor:

@@ -22,6 +22,7 @@ from fastmimic import __version__
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import packaged, write_text
+from fastmimic.base.machine import optional
 from fastmimic.base.text import NONE
 from fastmimic.imitation.methods import METHODS
 
@@ -237,13 +238,8 @@ def render(
 
 def plotly_bundle() -> str:
     """Plotly's JavaScript from its Python package; raises `ConfigError` if it is not installed."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise ConfigError(
-            "the report's plots need Plotly, which is not installed: pip install 'fastmimic[report]'"
-        ) from None
-    return str(get_plotlyjs())
+    said = "the report's plots need Plotly, which is not installed: pip install 'fastmimic[report]'"
+    return str(optional("plotly.offline", ConfigError(said)).get_plotlyjs())
 
 
 @cache

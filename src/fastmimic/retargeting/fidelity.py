@@ -133,13 +133,9 @@ def closure_of_motion(motion: Motion, track: TrunkTrack) -> tuple[float, float]:
     """Distance of sample 0, moved by `cycle`, from the last sample continued by its velocity and acceleration: the
     worst of root and feet, m, and the trunk's rotation, deg."""
     assert motion.cycle is not None
-    ahead = _continued(motion.root_pos_w[-3:])
-    repeated = np.array([*track.moved(motion.root_pos_w[0, :2], 1), motion.root_pos_w[0, 2]])
-    distance = float(np.linalg.norm(ahead - repeated))
-    feet = motion.foot_pos_w
-    for leg in range(4):
-        repeated = np.array([*track.moved(feet[0, leg, :2], 1), feet[0, leg, 2]])
-        distance = max(distance, float(np.linalg.norm(_continued(feet[-3:, leg]) - repeated)))
+    points = np.concatenate([motion.root_pos_w[:, None], motion.foot_pos_w], axis=1)
+    repeated = np.concatenate([track.moved(points[0, :, :2], 1), points[0, :, 2:]], axis=1)
+    distance = max(float(np.linalg.norm(apart)) for apart in _continued(points[-3:]) - repeated)
     last = motion.root_quat_wxyz[-1]
     turn = (1.5 * motion.root_ang_vel_w[-1] - 0.5 * motion.root_ang_vel_w[-2]) * motion.dt
     ahead_quat = quat_multiply(quat_from_rotvec(turn), last)

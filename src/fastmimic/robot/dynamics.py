@@ -109,19 +109,17 @@ def leg_mass_moment(model: Any, leg: int, q: Array) -> tuple[float, float, float
     """Σ mass × centre of one leg's links in the body frame, kg·m; `model` is a record of `MODEL`."""
     geometry, mass, com = model.geometry[leg], model.link_mass[leg], model.link_com[leg]
     ca, sa = np.cos(q[0]), np.sin(q[0])
-    s1, c1 = np.sin(q[1]), np.cos(q[1])
-    s2, c2 = np.sin(q[1] + q[2]), np.cos(q[1] + q[2])
     ox, oy, oz = geometry[0], geometry[1], geometry[2]
-    px, py, pz = rotated(sa, ca, 0.0, 1.0, com[0, 0], com[0, 1], com[0, 2])
-    mx, my, mz = mass[0] * (ox + px), mass[0] * (oy + py), mass[0] * (oz + pz)
-    rx, ry, rz = rotated(sa, ca, 0.0, 1.0, geometry[4], geometry[3], geometry[5])
-    ox, oy, oz = ox + rx, oy + ry, oz + rz
-    px, py, pz = rotated(sa, ca, s1, c1, com[1, 0], com[1, 1], com[1, 2])
-    mx, my, mz = mx + mass[1] * (ox + px), my + mass[1] * (oy + py), mz + mass[1] * (oz + pz)
-    rx, ry, rz = rotated(sa, ca, s1, c1, geometry[6], 0.0, geometry[7])
-    ox, oy, oz = ox + rx, oy + ry, oz + rz
-    px, py, pz = rotated(sa, ca, s2, c2, com[2, 0], com[2, 1], com[2, 2])
-    return mx + mass[2] * (ox + px), my + mass[2] * (oy + py), mz + mass[2] * (oz + pz)
+    mx = my = mz = pitch = 0.0
+    for link in range(3):
+        pitch += q[link] if link > 0 else 0.0
+        s, c = np.sin(pitch), np.cos(pitch)
+        px, py, pz = rotated(sa, ca, s, c, com[link, 0], com[link, 1], com[link, 2])
+        mx, my, mz = mx + mass[link] * (ox + px), my + mass[link] * (oy + py), mz + mass[link] * (oz + pz)
+        x, y, z = (geometry[4], geometry[3], geometry[5]) if link == 0 else (geometry[6], 0.0, geometry[7])
+        rx, ry, rz = rotated(sa, ca, s, c, x, y, z)
+        ox, oy, oz = ox + rx, oy + ry, oz + rz
+    return mx, my, mz
 
 
 @kernel

@@ -62,13 +62,13 @@ def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
     except (ValueError, RuntimeError) as error:
         raise RobotError(f"MuJoCo cannot compile this model ({one_line(error)})") from None
     trunk = _trunk(model)
-    roots = _leg_roots(model, trunk)
+    chains = [_chain(model, root) for root in _leg_roots(model, trunk)]
     at_zero = _at_zero(model, trunk)
-    reversed_joints = [joint for root in roots for joint in _reversed(model, at_zero, root)]
+    reversed_joints = [joint for chain in chains for joint in _reversed(model, at_zero, chain)]
     if reversed_joints:
         _turn_round(spec, model, reversed_joints)
         model, xml = spec.compile(), spec.to_xml()  # the zero pose stays
-    legs = [_leg(model, at_zero, trunk, root) for root in roots]
+    legs = [_leg(model, at_zero, trunk, chain) for chain in chains]
     order = _order(model, legs)
     legs = [legs[i] for i in order]
 
@@ -200,10 +200,10 @@ def _at_zero(model: mujoco.MjModel, trunk: int) -> mujoco.MjData:
     return data
 
 
-def _reversed(model: mujoco.MjModel, at_zero: mujoco.MjData, root: int) -> list[int]:
+def _reversed(model: mujoco.MjModel, at_zero: mujoco.MjData, chain: list[int]) -> list[int]:
     """The joints of a leg that turn about the opposite of the common axis; `RobotError` for any other axis."""
     found = []
-    joints = (int(model.body_jntadr[b]) for b in _chain(model, root))
+    joints = (int(model.body_jntadr[b]) for b in chain)
     for joint, role in zip(joints, JOINTS_PER_LEG, strict=True):
         axis, common = at_zero.xaxis[joint], np.array(_AXES[role])
         if np.max(np.abs(axis + common)) <= _AXIS_TOLERANCE:
@@ -232,9 +232,8 @@ def _turn_round(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: list[int]) -
         key.qpos = pose
 
 
-def _leg(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, root: int) -> _Leg:
+def _leg(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, chain: list[int]) -> _Leg:
     """A leg, from the positions of its parts with all joints at zero."""
-    chain = _chain(model, root)
     joints = [int(model.body_jntadr[b]) for b in chain]
     for joint in joints:
         if not (model.jnt_limited[joint] or model.nkey):
@@ -242,7 +241,7 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, root: int) -> _
         if model.qpos0[model.jnt_qposadr[joint]] != 0:
             raise RobotError(f"joint '{model.joint(joint).name}' has a reference angle; expected ref=0")
     anchors = [data.xanchor[j] - data.xpos[trunk] for j in joints]
-    foot = _foot_geom(model, data, chain[-1], root)
+    foot = _foot_geom(model, data, chain)
     foot_pos = data.geom_xpos[foot] - data.xpos[trunk]
     to_hip, thigh, calf = anchors[1] - anchors[0], anchors[2] - anchors[1], foot_pos - anchors[2]
     bent = _home(model)[model.jnt_qposadr[joints[2]]]
@@ -258,17 +257,17 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, trunk: int, root: int) -> _
     return _Leg(joints, foot, geometry)
 
 
-def _foot_geom(model: mujoco.MjModel, data: mujoco.MjData, calf: int, root: int) -> int:
+def _foot_geom(model: mujoco.MjModel, data: mujoco.MjData, chain: list[int]) -> int:
     """The lowest colliding sphere on the last link or on a body fixed to it."""
     spheres = [
         g
         for g in range(model.ngeom)
         if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_SPHERE
-        and model.body_weldid[model.geom_bodyid[g]] == model.body_weldid[calf]
+        and model.body_weldid[model.geom_bodyid[g]] == model.body_weldid[chain[-1]]
         and (model.geom_contype[g] or model.geom_conaffinity[g])
     ]
     if not spheres:
-        raise RobotError(f"{_label(model, root)} has no colliding sphere on its last link to serve as the foot")
+        raise RobotError(f"{_label(model, chain[0])} has no colliding sphere on its last link to serve as the foot")
     return min(spheres, key=lambda g: float(data.geom_xpos[g, 2]))
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
@@ -266,14 +267,11 @@ def _ground(bullet: Any, ground: Terrain | None) -> int:
 
 def require_pybullet() -> tuple[Any, Any]:
     """PyBullet's module and its client class; raises `ConfigError`, with what to do, if it is not installed."""
+    missing = ConfigError("the second simulator needs PyBullet: pip install 'fastmimic[pybullet]'")
+    names = ("pybullet", "pybullet_data", "pybullet_utils.bullet_client")
     with contextlib.redirect_stderr(io.StringIO()), quiet():  # it tells when it was built
-        try:
-            import pybullet
-            import pybullet_data  # noqa: F401
-            from pybullet_utils.bullet_client import BulletClient
-        except ImportError:
-            raise ConfigError("the second simulator needs PyBullet: pip install 'fastmimic[pybullet]'") from None
-    return pybullet, BulletClient
+        pybullet, _, client = (optional(name, missing) for name in names)
+    return pybullet, client.BulletClient
 
 
 def read_description(robot: Robot) -> str:

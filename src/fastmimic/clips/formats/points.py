@@ -6,7 +6,6 @@ tracked points or joints holds, in its own names, axes and unit."""
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.files import read_json
+from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
 from fastmimic.clips.formats.format import Content, Format
@@ -379,7 +379,5 @@ def most_complete(individuals: Sequence[str], positions: Array) -> tuple[int, tu
 
 def library(module: str) -> Any:
     """A library of the extra `formats`; raises `ClipError` if it is not installed."""
-    try:
-        return import_module(module)
-    except ImportError:
-        raise ClipError(f"such files need {module}, which is not installed: pip install 'fastmimic[formats]'") from None
+    said = f"such files need {module}, which is not installed: pip install 'fastmimic[formats]'"
+    return optional(module, ClipError(said))
