@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from fastmimic.base.errors import LibraryError, OutputError
-from fastmimic.base.files import check_folder
+from fastmimic.base.errors import LibraryError
+from fastmimic.base.files import check_folder, write_text
 
 SUFFIX: Final = ".lock"
 BUILDING: Final = "building"
@@ -30,10 +30,7 @@ def working(folder: Path, what: str) -> Iterator[None]:
     be written to."""
     check_folder(folder)
     own = folder / f"{what}-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}{SUFFIX}"
-    try:
-        own.write_text(_machine() or "")
-    except OSError as error:
-        raise OutputError(f"{own}: cannot be written ({error.strerror or error})") from None
+    write_text(own, _machine() or "")
     ended = threading.Event()
 
     def touch() -> None:

@@ -45,22 +45,22 @@ def check(library: MotionDataset, progress: Callable[[int, int], None] | None = 
     found = library.gathered(plan)
     damaged = [*plan.unreadable, *(f"{RECORDS}/{name}: not a whole record" for name in found.torn)]
     useless = [f"{RECORDS}/{name}" for name in found.torn]
-    columns = ("id", "status", "motion_sha256", "motion_file")
-    *others, motions = (found.table.column(name).to_pylist() for name in columns)
-    for i, (identity, status, sha, motion) in enumerate(zip(*others, motions, strict=True)):
-        wrong = damage(library.path, {"motion_file": motion, "motion_sha256": sha, "status": status})
+    rows = found.table.select(["id", "status", "motion_sha256", "motion_file"]).to_pylist()
+    for i, row in enumerate(rows, 1):
+        motion, wrong = row["motion_file"], damage(library.path, row)
+        there.discard(motion)
         if wrong is not None:
-            damaged.append(f"{identity}: {wrong}")
-            useless += [f"{RECORDS}/{identity}.json", *([motion] if motion is not None else [])]
+            damaged.append(f"{row['id']}: {wrong}")
+            useless += [f"{RECORDS}/{row['id']}.json", *([motion] if motion is not None else [])]
         if progress is not None:
-            progress(i + 1, len(motions))
-    foreign = {*there.difference(motions), *(f"{RECORDS}/{old.id}.json" for old in found.superseded)}
+            progress(i, len(rows))
+    foreign = {*there, *(f"{RECORDS}/{old.id}.json" for old in found.superseded)}
     foreign |= {
         str(path.relative_to(library.path))
         for pattern in (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
         for path in library.path.glob(pattern)  # a killed `fastmimic.base.files.replace_file` left it
     }
-    records = len(motions) + len(found.superseded) + len(found.torn)
+    records = len(rows) + len(found.superseded) + len(found.torn)
     try:
         outdated = not found.table.equals(library.index_table().select(found.table.column_names))
     except LibraryError:

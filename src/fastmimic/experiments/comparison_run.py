@@ -266,17 +266,9 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
     window = slice(max(0, end - shown), end)
     wanted, realised = measurement.foot_courses(after, robot)
     unoptimised = measurement.foot_courses(before, robot)[1]
-    replace_file(
-        path,
-        lambda file: np.savez_compressed(
-            file,
-            rate_hz=np.float64(demonstration.rate_hz),
-            start_s=np.float64(window.start / demonstration.rate_hz),
-            demonstration=wanted[window],
-            before=unoptimised[window],
-            after=realised[window],
-        ),
-    )
+    arrays = {"demonstration": wanted[window], "before": unoptimised[window], "after": realised[window]}
+    times = {"rate_hz": demonstration.rate_hz, "start_s": window.start / demonstration.rate_hz}
+    replace_file(path, lambda file: np.savez_compressed(file, **arrays, **times))
 
 
 @dataclass(frozen=True)

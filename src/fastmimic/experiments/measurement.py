@@ -128,10 +128,9 @@ def named_values(result: Imitation) -> str:
 
 def foot_courses(rollout: Rollout, robot: Robot) -> tuple[Array, Array]:
     """Feet in the first episode, (t, 4, 3) body frame, m: the reference's, and the realised ones, NaN after a fall."""
-    assert rollout.log is not None, "the courses are in the log"
-    feet = foot_positions(robot, rollout.log.observation["joint_pos"][0])
+    feet = foot_positions(robot, rollout.course.observation["joint_pos"][0])
     feet[rollout.steps[0] :] = np.nan
-    return rollout.log.demonstration["foot_pos"][0], feet
+    return rollout.course.demonstration["foot_pos"][0], feet
 
 
 def shown_window(target: Motion, rollouts: Sequence[Rollout]) -> tuple[float, float]:

@@ -136,9 +136,8 @@ def identified_config(subject: Subject, robot: Robot, settings: TransferSettings
     motion, conditions = subject.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
     rollout = subject.run(robot, episode_duration(motion, IDENTIFICATION_S), start, conditions, log=True)
-    assert rollout.log is not None, "asked for"
     latency_s = conditions.estimator.latency_s
-    log = run_log(rollout.log, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
+    log = run_log(rollout.course, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
     try:
         return identify(log, robot).configure(subject.config)
     except LogError as error:

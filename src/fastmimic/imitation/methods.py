@@ -5,9 +5,8 @@ demonstration are the same for all (paper, §IV-B). `fastmimic.control.config.CO
 controller has the paper's form.
 """
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -118,7 +117,7 @@ def made_with(
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
     over = None if randomization is None else msgspec.convert(randomization.as_dict(), RandomizationRecord)
     record = MadeWith(method, config.name if same else None, over)
-    return dataclasses.replace(motion, provenance=dataclasses.replace(motion.provenance, made_with=record))
+    return replace(motion, provenance=replace(motion.provenance, made_with=record))
 
 
 def controller_for(

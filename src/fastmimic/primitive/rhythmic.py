@@ -250,11 +250,7 @@ def product(a: Array, b: Array) -> Array:
 
 def in_band(a: Array) -> Array:
     """The lower triangle of a (n, n) in a band of n diagonals, as `solve_banded` takes it."""
-    n = len(a)
-    band = np.zeros((n, n))
-    for i in range(n):
-        band[i, n - 1 - i :] = a[i, : i + 1]
-    return band
+    return np.array([np.roll(row, -1 - i) for i, row in enumerate(np.tril(a))])
 
 
 def solve_banded(band: Array, b: Array) -> Array:
