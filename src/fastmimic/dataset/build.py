@@ -222,15 +222,13 @@ class _Builder:
         Random().shuffle(missing)
         total, done = len(jobs), len(jobs) - len(missing)
         begun: dict[int, float] = {}  # finished share of each running job
-        over: set[int] = set()
 
         def tell(record: Record | None = None) -> None:
             share = (done + sum(begun.values())) / total if total else 1.0
             self.tell(BuildStep("making", done, total, share, record=record))
 
         def progress(index: int, share: float) -> None:
-            if index not in over:  # the report may come late
-                begun[index] = share
+            begun[index] = share
             tell()
 
         tell()
@@ -242,7 +240,6 @@ class _Builder:
                     raise outcome.error
                 record = outcome.result if outcome.error is None else give_up(job, outcome.error)
                 done, since = done + 1, since + 1
-                over.add(outcome.index)
                 begun.pop(outcome.index, None)
                 if record["status"] != FAILED:
                     seen.add(job.id, job.motion_file)

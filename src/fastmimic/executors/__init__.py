@@ -36,8 +36,8 @@ class Executor(Protocol):
         self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
     ) -> Generator[JobOutcome, None, None]:
         """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it, or
-        Ctrl-C, stops what runs. `progress` is called with a job's index and finished share. Raises `ClusterError` if no
-        more jobs can run, and what a job raises, if it is no `FastMimicError`: a defect."""
+        Ctrl-C, stops what runs. `progress` is called with a job's index and finished share, before its outcome. Raises
+        `ClusterError` if no more jobs can run, and what a job raises, if it is no `FastMimicError`: a defect."""
 
 
 def attempt(work: Work, job: Any, report: Report = lambda share: None) -> tuple[Any, FastMimicError | None]:

@@ -99,13 +99,9 @@ class RunProgress:
     _began: float = field(default_factory=time.perf_counter)
     _done_s: dict[int, float] = field(default_factory=dict)
 
-    def advance(self, index: int, iteration: int) -> None:
-        """Records an iteration of a run's search."""
-        self._done_s[index] = self.tasks[index].searched_s(iteration)
-
-    def finish(self, index: int) -> None:
-        self._done_s[index] = self.tasks[index].simulated_s
-        self.finished += 1
+    def advance(self, index: int, share: float) -> None:
+        """Records the finished share of a run."""
+        self._done_s[index] = share * self.tasks[index].simulated_s
 
     @property
     def share(self) -> float:
@@ -148,9 +144,8 @@ class Prepared:
         tasks, effort, rows = self.tasks, RunProgress(self.tasks), dict(self.found)
 
         def progress(index: int, share: float) -> None:
-            if share > 0.0:
-                effort.advance(index, round(share * tasks[index].settings.iterations))
-                report(effort, None)
+            effort.advance(index, share)
+            report(effort, None)
 
         executor = LocalExecutor(max(1, min(workers, len(tasks))))
         with closing(executor.run(compared.perform, tasks, progress)) as outcomes:
@@ -158,7 +153,8 @@ class Prepared:
                 if outcome.error is not None:
                     raise outcome.error
                 rows[tasks[outcome.index].run] = outcome.result
-                effort.finish(outcome.index)
+                effort.advance(outcome.index, 1.0)
+                effort.finished += 1
                 report(effort, outcome.result)
         return [rows[run] for run in self.plan.runs]
 

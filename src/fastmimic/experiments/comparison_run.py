@@ -104,14 +104,14 @@ class RunTask:
     def simulated_s(self) -> float:
         """Estimated simulated time, s, as the measure of its length."""
         s = self.settings
-        evaluation = s.evaluation_s * (2 + s.perturbed_episodes)
-        if not method_named(self.run.method).optimises:
-            return evaluation
-        return evaluation + s.choice.simulated_s + self.searched_s(s.iterations)
+        chosen_s = s.choice.simulated_s if method_named(self.run.method).optimises else 0.0
+        return s.evaluation_s * (2 + s.perturbed_episodes) + chosen_s + self.searched_s
 
-    def searched_s(self, iterations: int) -> float:
-        """The part of it up to an iteration of the search, s."""
-        return self.settings.duration_s * self.settings.population * iterations
+    @property
+    def searched_s(self) -> float:
+        """The part of it in the search, s."""
+        s = self.settings
+        return s.duration_s * s.population * s.iterations if method_named(self.run.method).optimises else 0.0
 
 
 def slug(text: str) -> str:
@@ -153,10 +153,9 @@ def perform(task: RunTask, report: Report) -> Row:
     """Optimises if the method does, evaluates, and writes the run's folder; resumes from a checkpoint in it. Returns
     the row, of `COLUMNS`. The folder keeps a copy of a learned method's policy. Raises `FastMimicError` as `imitate`;
     the checkpoint survives Ctrl-C."""
-    report(0.0)
 
     def progress(step: Progress) -> None:
-        report(step.iteration / step.iterations)
+        report(step.iteration / step.iterations * task.searched_s / task.simulated_s)
 
     run, settings, folder = task.run, task.settings, task.folder
     robot, policy, controller = load_robot(settings.robot), None, None
@@ -266,9 +265,9 @@ def _save_tracking(path: Path, demonstration: Motion, before: Rollout, after: Ro
     window = slice(max(0, end - shown), end)
     wanted, realised = measurement.foot_courses(after, robot)
     unoptimised = measurement.foot_courses(before, robot)[1]
-    arrays = {"demonstration": wanted[window], "before": unoptimised[window], "after": realised[window]}
-    times = {"rate_hz": demonstration.rate_hz, "start_s": window.start / demonstration.rate_hz}
-    replace_file(path, lambda file: np.savez_compressed(file, **arrays, **times))
+    found: dict[str, Any] = {"rate_hz": demonstration.rate_hz, "start_s": window.start / demonstration.rate_hz}
+    found |= {"demonstration": wanted[window], "before": unoptimised[window], "after": realised[window]}
+    replace_file(path, lambda file: np.savez_compressed(file, **found))
 
 
 @dataclass(frozen=True)

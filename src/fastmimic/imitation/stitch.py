@@ -202,8 +202,7 @@ def _optimised_parts(
         path = folder / PART_CHECKPOINT.format(i) if folder is not None else None
         again = resume and path is not None and path.is_file()
         count = iterations if iterations is not None else settings["iterations"]
-        if begun and again:
-            assert path is not None
+        if begun and again and path is not None:
             count = _iterations_before(motion, path, iterations)
         todo.append((i, motion, path, again, count))
     for i, motion, path, again, count in todo:

@@ -26,10 +26,9 @@ from fastmimic.simulation.conditions import (
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S
 
 ROBOTS: Final = 4  # per candidate by default; the cost of a search is in proportion
-_WORST: Final = "worst"
 CRITERIA: Final[dict[str, Callable[[Array], Array]]] = {
     "mean": lambda scores: np.mean(scores, axis=-1),
-    _WORST: lambda scores: np.min(scores, axis=-1),
+    "worst": lambda scores: np.min(scores, axis=-1),
 }
 """Aggregates of scores (…, m) over m robots to (…,), by name."""
 

@@ -129,12 +129,7 @@ class RunFolder:
 
     def write_metrics(self, metrics: Mapping[str, Any], video_s: float | None) -> None:
         """Writes `metrics.json` with the video's rendering time, s; raises `OutputError`."""
-        found: dict[str, Any] = {}
-        for key, value in metrics.items():
-            found[key] = value
-            if key == "wall_s":
-                found["video_s"] = video_s
-        write_json(self.path / METRICS, found)
+        write_json(self.path / METRICS, {**metrics, "video_s": video_s})
 
     def check(self, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
         """Checks the folder before a run begins; writes nothing. Raises as `open_run`."""
