@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -174,7 +175,7 @@ class Deploy:
         from fastmimic.deploy.deployment import DeployOptions, deploy
 
         clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock()
-        switch, ask, dry = StopSwitch(), None, self.dry_run
+        switch, ready, dry = StopSwitch(), None, self.dry_run
         if self.driver == SIM:
             driver = self._simulated(robot, clock)
         else:
@@ -184,7 +185,7 @@ class Deploy:
                 clock = VirtualClock()
                 driver, dry = self._simulated(robot, clock), False
             elif not dry and not self.yes:
-                ask = switch
+                ready = partial(_agreed, switch)
         options = opt.apply(
             DeployOptions,
             self,
@@ -198,7 +199,6 @@ class Deploy:
             about={"driver": self.driver, "arguments": opt.recorded(self), "versions": versions()},
         )
         with slow_start() as started:
-            ready = None if ask is None else lambda: _agreed(ask)
             watch = _Watch(started)
             return deploy(
                 motion, robot, driver, options, clock=clock, switch=switch, on_ready=ready, watch=watch, note=note

@@ -131,12 +131,15 @@ def identify_friction(forces: GroundForces, robot: Robot) -> Friction:
     nothing = Friction(None, bound, None, 0, 0.0)
     if len(events) < EVENTS:
         return nothing
-    value = _coefficient(forces.force(), events)
-    rng = np.random.default_rng(0)
+
+    def coefficient(gain: Array | None = None) -> float:
+        return _weighted_median(*_of_events(forces.force(gain), events))
+
+    value, rng = coefficient(), np.random.default_rng(0)
     ratios, weights = _of_events(forces.force(), events)
     drawn = rng.integers(len(events), size=(_RESAMPLED, len(events)))
     scatter = float(np.std([_weighted_median(ratios[d], weights[d]) for d in drawn]))
-    by_motors = _gain_error(lambda gain: _coefficient(forces.force(gain), events), TORQUE_GAIN_ERROR, 4, 3)
+    by_motors = _gain_error(coefficient, TORQUE_GAIN_ERROR, 4, 3)
     spread = 1.96 * float(np.hypot(scatter, by_motors))
     if value + spread < bound:  # feet held at more: what seemed to slide did not
         return nothing
@@ -169,10 +172,6 @@ def _of_events(force: Array, events: list[tuple[NDArray[np.intp], int]]) -> tupl
     along = np.array([np.linalg.norm(force[rows, leg, :2], axis=-1).sum() for rows, leg in events])
     normal = np.array([force[rows, leg, 2].sum() for rows, leg in events])
     return along / normal, normal
-
-
-def _coefficient(force: Array, events: list[tuple[NDArray[np.intp], int]]) -> float:
-    return _weighted_median(*_of_events(force, events))
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

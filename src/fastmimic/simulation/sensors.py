@@ -162,14 +162,11 @@ def _measure(
 class Sensors:
     """The sensors of n robots. A robot's noise depends on its own generator alone."""
 
-    def __init__(
-        self, robot: Robot, n: int, rate_hz: float, config: SensorConfig | None = None, world: World | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, n: int, rate_hz: float, config: SensorConfig, world: World | None = None) -> None:
         """`world` holds the robots' disturbances: the delay of the motors' commands, and the foot sensors'
         scale and offset; none if None."""
         self._world = world = world if world is not None else make_world((), n, "mujoco")
-        self.config = config if config is not None else SensorConfig()
-        self._config = _pack(self.config, robot, rate_hz)
+        self.config, self._config = config, _pack(config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
         self._delay = Delay(world["delay"], rate_hz)
         self._ring = np.zeros((n, 1 + int(self._config["delays"].max())), READING)
