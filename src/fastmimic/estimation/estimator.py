@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
-from fastmimic.base.vectors import copy, quat_to_matrix, times
+from fastmimic.base.vectors import copy, heading_of, quat_to_matrix, times
 from fastmimic.estimation.config import EstimatorConfig, pack_config
 from fastmimic.estimation.contact import (
     CONTACT_SCRATCH,
@@ -54,7 +54,7 @@ smoothed; and what `CONTACT_STATE` holds of the feet."""
 
 SCRATCH: Final = record_dtype(
     [
-        *floats(rotation=(3, 3), jacobian=(3, 3), ang_vel=3),
+        *floats(rotation=(3, 3), jacobian=(3, 3)),
         *floats(accel=3),  # of the base, world, without gravity
         *floats(foot=(4, 3)),  # from the base, world
         *floats(roll=(4, 3)),  # velocity of the feet's centres where they roll, world
@@ -108,7 +108,6 @@ def _follow_orientation(config: Any, state: Any, reading: Any, measured: Array) 
 def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
     """Feet, their velocities if they roll, and the base velocity that follows; all in the world frame."""
     rotation, jacobian, g = scratch.rotation, scratch.jacobian, reading.gyro
-    times(rotation, g, scratch.ang_vel)
     for leg in range(4):
         geometry, j = config.geometry[leg], 3 * leg
         q, dq = reading.joint_pos[j : j + 3], reading.joint_vel[j : j + 3]
@@ -262,10 +261,8 @@ def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, ou
     c, scratch = config[0], scratches[0]
     for i in range(states.shape[0]):
         state, reading, start = states[i], readings[i], starts[i]
-        m = reading.quat
-        heading = np.arctan2(2 * (m[0] * m[3] + m[1] * m[2]), 1 - 2 * (m[2] * m[2] + m[3] * m[3]))
-        state.heading = start.heading - heading
-        state.quat = m
+        state.heading = start.heading - heading_of(reading.quat)
+        state.quat = reading.quat
         turn_by(state.quat, 0.0, 0.0, state.heading, False)
         state.ground[:] = 0.0
         state.ground_time = min(c.ground_start, c.ground_time)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
-from fastmimic.base.vectors import quat_to_matrix
+from fastmimic.base.vectors import quat_to_matrix, transposed_times
 from fastmimic.control.config import default_config
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import Scorer
@@ -285,10 +285,8 @@ def place_robots(
         place.lin_vel[k, 2] = ref.lin_vel[2]
         for a in range(3):
             place.lin_vel[k, a] += noise * VELOCITY_NOISE * (2 * draws[k, 13 + a] - 1)
-            # a turn about z changes the world, not the body's sensors
-            place.ang_vel_b[k, a] = 0.0
-            for b in range(3):
-                place.ang_vel_b[k, a] += rotation[b, a] * ref.ang_vel[b]
+        # a turn about z changes the world, not the body's sensors
+        transposed_times(rotation, ref.ang_vel, place.ang_vel_b[k])
         lowest = np.inf
         for leg in range(4):
             p = place.joint_pos[k, 3 * leg : 3 * leg + 3]
