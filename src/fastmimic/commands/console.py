@@ -65,23 +65,18 @@ def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterato
 @contextmanager
 def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
     """Progress of an optimisation: a bar on a terminal, otherwise a line for each tenth."""
-    with slow_start() as started, _bar("optimising") as bar:
+    with slow_start() as started, _bar("optimising") as show:
         due = tenths()
 
         def progress(step: "Progress") -> None:
             started()
             left = f"{step.remaining_s // 60:.0f}:{step.remaining_s % 60:02.0f}"
             figures = f"best {step.best:.3f}  {step.evaluations_per_s:.0f} evaluations/s  {left} left"
-            last = step.iteration == step.iterations
-            if bar is not None:
-                bar(completed=step.iteration, total=step.iterations, info=figures)
-                if last:
-                    bar(description="validating")
-                return
-            if due(step.iteration, step.iterations):
-                note(f"iteration {step.iteration}/{step.iterations}  {figures}")
-            if last:
-                note(CHOOSING)
+            done, total = step.iteration, step.iterations
+            line = f"iteration {done}/{total}  {figures}" if due(done, total) else ""
+            show(line, completed=done, total=total, info=figures)
+            if done == total:
+                show(CHOOSING, description="validating")
 
         yield progress
 
@@ -89,14 +84,11 @@ def optimisation_progress() -> "Iterator[Callable[[Progress], None]]":
 @contextmanager
 def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Progress of a count: yields a function of (done, all). A bar on a terminal, otherwise a line for each tenth."""
-    with _bar(what) as bar:
+    with _bar(what) as show:
         due = tenths()
 
         def progress(done: int, total: int) -> None:
-            if bar is not None:
-                bar(completed=done, total=total)
-            elif due(done, total):
-                note(f"{what} {done}/{total}")
+            show(f"{what} {done}/{total}" if due(done, total) else "", completed=done, total=total)
 
         yield progress
 
@@ -105,15 +97,8 @@ def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
 def share_progress(what: str) -> Iterator[Callable[[float, str, str], None]]:
     """Progress of long work: yields a function of (share in [0, 1], text, line). A bar with the text on a terminal,
     otherwise the line, unless it is empty."""
-    with _bar(what, total=1.0) as bar:
-
-        def progress(share: float, text: str, line: str) -> None:
-            if bar is not None:
-                bar(completed=share, info=text)
-            elif line:
-                note(line)
-
-        yield progress
+    with _bar(what, total=1.0) as show:
+        yield lambda share, text, line: show(line, completed=share, info=text)
 
 
 def tenths(shown: int = 0) -> Callable[[int, int], bool]:
@@ -128,11 +113,11 @@ def tenths(shown: int = 0) -> Callable[[int, int], bool]:
 
 
 @contextmanager
-def _bar(what: str, total: float | None = None) -> Iterator[Callable[..., None] | None]:
-    """Rich's progress bar on stderr: yields the function that updates it, or None where that is not a terminal. Without
-    a total it counts, and is hidden until the first update."""
+def _bar(what: str, total: float | None = None) -> Iterator[Callable[..., None]]:
+    """Rich's progress bar on stderr: yields a function of (line, **changes) that updates it; where that is no terminal,
+    it prints the line, unless it is empty. Without a total it counts, and is hidden until the first update."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda line, **_: note(line) if line else None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn
@@ -145,4 +130,4 @@ def _bar(what: str, total: float | None = None) -> Iterator[Callable[..., None] 
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=total, visible=total is not None, info="")
-        yield lambda **new: bar.update(task, visible=True, **new)
+        yield lambda _, **new: bar.update(task, visible=True, **new)

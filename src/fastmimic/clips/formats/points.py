@@ -356,13 +356,12 @@ def tracks_format(
     of damaged bytes becomes a `ClipError`."""
 
     def parse(content: str | bytes, **options: Any) -> Clip:
-        if not binary:
-            return read(content).clip(**options)
         try:
             tracks = read(content)
-        except ClipError:
-            raise
-        except Exception as error:  # noqa: BLE001 - libraries raise a dozen kinds
+        except Exception as error:
+            if isinstance(error, ClipError) or not binary:
+                raise
+            # libraries raise a dozen kinds
             raise ClipError(f"a damaged file, or none of {about}: {str(error)[:200] or type(error).__name__}") from None
         return tracks.clip(**options)
 
