@@ -182,9 +182,10 @@ class _Take:
         return aperiodicity_of(self.toes, self.rate_hz, self.config)
 
 
-def find_segments(clip: Clip, config: SegmentConfig = SegmentConfig()) -> list[Segment]:
+def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
     """Cuts a take of at least two cycles into ordered segments without overlap; keeps a clip that its source calls one
     cycle. Raises `ClipError`: the clip is too short, or its frame rate too low."""
+    config = config if config is not None else SegmentConfig()
     if clip.is_cycle and clip.n_frames <= config.longest_s * clip.rate_hz:
         return [as_one_cycle(clip, config)]
     fewest = 2 * math.ceil(config.shortest_s * clip.rate_hz)
@@ -201,9 +202,9 @@ def find_segments(clip: Clip, config: SegmentConfig = SegmentConfig()) -> list[S
     return _with_the_rest(take, _periodic(take, period))
 
 
-def as_one_cycle(clip: Clip, config: SegmentConfig = SegmentConfig()) -> Segment:
+def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
     """A clip as one cycle: its gait, speed and turning, and how well it closes."""
-    take = take_of(clip, config)
+    take = take_of(clip, config if config is not None else SegmentConfig())
     n = len(take.heading)
     piece = _piece(take, 0, n, float(n))
     x = take.toes.reshape(n, -1)

@@ -23,13 +23,14 @@ def _prepared(
     n: int,
     motion: str | Path | Motion,
     robot: str | Robot,
-    config: PolicyConfig,
+    config: PolicyConfig | None,
     randomize: Sequence[str],
     **options: Any,
 ) -> tuple[Callable[[int], Episodes], gymnasium.Space[Any], gymnasium.Space[Any]]:
     """A function that makes the episodes of n robots for a seed, and the spaces of one's observation and action."""
     robot = load_robot(robot)
     motion = load_motion(motion, robot)
+    config = config if config is not None else PolicyConfig()
     ranges = tuple(parse_range(text) for text in randomize)
 
     def make(seed: int) -> Episodes:
@@ -59,7 +60,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         duration_s: float = EPISODE_S,
         perturbed: bool = True,
         randomize: Sequence[str] = (),
-        config: PolicyConfig = PolicyConfig(),
+        config: PolicyConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
         """`motion` is as in `fastmimic.load_motion`; `robot` is the robot, its name, or its MJCF; `duration_s` is the
@@ -106,7 +107,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         duration_s: float = EPISODE_S,
         perturbed: bool = True,
         randomize: Sequence[str] = (),
-        config: PolicyConfig = PolicyConfig(),
+        config: PolicyConfig | None = None,
         threads: int = 1,
         render_mode: str | None = None,
     ) -> None:

@@ -72,7 +72,7 @@ class Episodes:
         robot: Robot,
         motion: Motion,
         n: int,
-        config: PolicyConfig = PolicyConfig(),
+        config: PolicyConfig | None = None,
         *,
         seed: int = 0,
         threads: int = 1,
@@ -81,6 +81,7 @@ class Episodes:
         randomize: Sequence[Range] = (),
     ) -> None:
         """Raises `MotionError` for another robot's motion, `ConfigError` for another rate or a number out of range."""
+        config = config if config is not None else PolicyConfig()
         demonstration = motion.target
         demonstration.check_robot(robot.name)
         if abs(demonstration.rate_hz - config.control_rate_hz) > 1e-9:

@@ -106,7 +106,7 @@ def train(
     motion: Motion,
     steps: int,
     folder: TrainingFolder,
-    settings: TrainingSettings = TrainingSettings(),
+    settings: TrainingSettings | None = None,
     *,
     device: str = "cpu",
     threads: int = 1,
@@ -124,6 +124,7 @@ def train(
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
     """
+    settings = settings if settings is not None else TrainingSettings()
     learner = Learner(robot, motion, settings, device=device, threads=threads)
     try:
         return _Training(learner, folder, evaluate_every, progress).run(steps, resume)

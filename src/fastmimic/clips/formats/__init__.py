@@ -29,9 +29,10 @@ def detect_format(path: str | Path) -> str:
         return format_of(Content.of(path)).name
 
 
-def read_clip(path: str | Path, options: ReadOptions = ReadOptions()) -> Clip:
+def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
     """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`. `Motion.load` reads a
     FastMimic `.npz`. Raises `ClipError` for an unreadable file, or an option that does not apply to its format."""
+    options = options if options is not None else ReadOptions()
     with naming(path, ClipError):
         if options.up is not None and options.up not in UP_AXES:
             raise ClipError(f"the vertical axis must be one of {', '.join(UP_AXES)}, found '{options.up}'")
