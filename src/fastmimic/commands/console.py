@@ -1,6 +1,7 @@
 """Output of the verbs: results on stdout, notes and progress on stderr."""
 
 import json
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -99,6 +100,17 @@ def share_progress(what: str) -> Iterator[Callable[[float, str, str], None]]:
     otherwise the line, unless it is empty."""
     with _bar(what, total=1.0) as show:
         yield lambda share, text, line: show(line, completed=share, info=text)
+
+
+@contextmanager
+def on_signal(handler: Any, *numbers: int) -> Iterator[None]:
+    """Signals are handled by `handler` within the block, as `signal.signal` takes it."""
+    before = [signal.signal(number, handler) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, earlier in zip(numbers, before, strict=True):
+            signal.signal(number, earlier)
 
 
 def tenths(shown: int = 0) -> Callable[[int, int], bool]:

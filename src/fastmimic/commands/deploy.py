@@ -5,8 +5,8 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from fastmimic.base.errors import ConfigError, DriverError, OutputError, unknown
 from fastmimic.base.files import write_json
 from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import EXIT_INTERRUPTED, note, put, put_json, put_table, slow_start
+from fastmimic.commands.console import EXIT_INTERRUPTED, note, on_signal, put, put_json, put_table, slow_start
 from fastmimic.commands.deployment_logs import is_whole
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface
@@ -333,7 +333,8 @@ class RobotSim:
         with writer or nullcontext():
             with slow_start():
                 server = SimServer(load_robot(self.robot), settings, None if writer is None else writer.recorder)
-            with closing(server), _until_interrupted() as stop:
+            stop = threading.Event()
+            with closing(server), on_signal(lambda *_: stop.set(), signal.SIGINT, signal.SIGTERM):
                 note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
                 server.run(stop, duration, _status)
         summary = {"robot": self.robot, **server.summary()}
@@ -369,19 +370,6 @@ class RobotSim:
             watchdog_s=self.watchdog_ms / 1e3,
             dead_after_s=math.inf if fault.dead_after is None else fault.dead_after,
         )
-
-
-@contextmanager
-def _until_interrupted() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets, so that the server can shut down."""
-    stop = threading.Event()
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda *_: stop.set()) for number in numbers]
-    try:
-        yield stop
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 def _status(server: Any) -> None:

@@ -5,9 +5,8 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -17,7 +16,7 @@ from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, MotionError, OutputError
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import count_progress, note, put, slow_start
+from fastmimic.commands.console import count_progress, note, on_signal, put, slow_start
 from fastmimic.commands.deployment_logs import check_truth, open_log
 from fastmimic.control.config import controller_config
 from fastmimic.deploy.log import is_deployment_log
@@ -356,7 +355,7 @@ class Play:
         robot = load_robot(name)
         # transitions take about a second each: another process makes them, so that the simulation keeps real time
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
-            with _deaf_to_ctrl_c():
+            with on_signal(signal.SIG_IGN, signal.SIGINT):  # it ignores Ctrl-C from its first moment on: we handle it
                 executor.submit(warm_up, name)  # while this process loads
             with slow_start():
                 motions = load_motions(sources, robot)
@@ -369,16 +368,6 @@ class Play:
                     return serve(page, ", ".join(library.names), self.port)
             finally:
                 executor.shutdown(wait=False, cancel_futures=True)
-
-
-@contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Processes that begin here ignore Ctrl-C, from their first moment on: the serving process handles it."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
