@@ -177,7 +177,9 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
         run: policy_for(file, robot, files[_file(out, run.motion, consistent=True)])
         for run, file in plan.policies.items()
     }
-    found = _finished(out) if keep else {}
+    rows = compared.finished_rows(out) if keep else {}
+    # copies, which have other names, do not count
+    found = {run: row for name, row in rows.items() if (run := compared.run_of(row)).folder == name}
     known = dict(files)
     for run, row in found.items():
         path = _motion_file(out, run)
@@ -248,20 +250,6 @@ def _file(out: Path, name: str, consistent: bool) -> Path:
 
 def _motion_file(out: Path, run: Run) -> Path:
     return _file(out, run.motion, ablation_named(run.variant).consistent)
-
-
-def _finished(out: Path) -> dict[Run, Row]:
-    """All finished runs of a folder; ignores folders under other names, such as copies."""
-    found: dict[Run, Row] = {}
-    runs = out / RUNS
-    for folder in sorted(runs.iterdir()) if runs.is_dir() else []:
-        row = finished_row(folder) if folder.is_dir() else None
-        if row is None:
-            continue
-        run = compared.run_of(row)
-        if run.folder == folder.name:
-            found[run] = row
-    return found
 
 
 def _demonstrations(

@@ -219,6 +219,12 @@ def finished_row(folder: Path) -> Row | None:
     return row
 
 
+def finished_rows(out: Path) -> dict[str, Row]:
+    """The rows of all finished runs of a comparison by the names of their folders; raises as `finished_row`."""
+    rows = {path.parent.name: finished_row(path.parent) for path in sorted((out / RUNS).glob(f"*/{ROW}"))}
+    return {name: row for name, row in rows.items() if row is not None}
+
+
 def run_of(row: Row) -> Run:
     return Run(row["motion"], row["method"], row["variant"], row["seed"])
 

@@ -163,11 +163,8 @@ def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: R
     """The motions; the same name or object is the same motion, loaded once."""
     if isinstance(sources, str | Path):
         raise ConfigError(f"stitching takes a list of motions, found '{sources}'")
-    found: dict[object, Motion] = {}
     keys = [str(source) if isinstance(source, str | Path) else id(source) for source in sources]
-    for key, source in zip(keys, sources, strict=True):
-        if key not in found:
-            found[key] = load_motion(source, robot)
+    found = {key: load_motion(source, robot) for key, source in dict(zip(keys, sources, strict=True)).items()}
     return [found[key] for key in keys]
 
 

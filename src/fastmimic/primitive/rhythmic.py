@@ -89,12 +89,8 @@ class RhythmicDmp:
 
     def forcing(self, phase: Array | float) -> Array:
         """f(φ) at phases (...) → (..., d)."""
-        phase = np.asarray(phase, dtype=np.float64)
-        out = np.empty((*phase.shape, self.n_dims))
-        for centres, dims in self._placements:
-            basis = normalised_basis(phase, centres, self.widths[dims[0]])
-            out[..., dims] = product(basis, self.weights[dims].T)
-        return out
+        basis = normalised_basis(np.asarray(phase, dtype=np.float64), self.centres, self.widths)
+        return np.asarray(np.einsum("...dn,dn->...d", basis, self.weights))
 
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
@@ -110,18 +106,12 @@ class RhythmicDmp:
         return (self.goal if goal is None else goal) + amplitude * self.shape(phase)
 
     @cached_property
-    def _placements(self) -> list[tuple[Array, NDArray[np.intp]]]:
-        return _distinct(self.centres)
-
-    @cached_property
     def _harmonics(self) -> NDArray[np.complex128]:
         """Complex amplitudes (k, d) of s for k = 0, 1, …, down to rounding error."""
         columns = []
-        for centres, dims in self._placements:
-            phase = _fine_phases(centres)
-            basis = normalised_basis(phase, centres, basis_widths(centres))
-            forcing = product(basis, self.weights[dims].T)
-            columns.append((dims, _filtered(forcing, self.alpha)))
+        for centres, dims in _distinct(self.centres):
+            basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
+            columns.append((dims, _filtered(product(basis, self.weights[dims].T), self.alpha)))
         out = np.zeros((max(len(column) for _, column in columns), self.n_dims), dtype=np.complex128)
         for dims, column in columns:
             out[: len(column), dims] = column

@@ -13,7 +13,7 @@ from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import packaged, read_json
 from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED
-from fastmimic.experiments.comparison_run import Row, finished_row
+from fastmimic.experiments.comparison_run import Row, finished_rows
 from fastmimic.experiments.measurement import Summary, summaries
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.report import html_page as draw
@@ -143,9 +143,7 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
         pass
     except (OSError, ValueError, KeyError, TypeError, FastMimicError) as error:
         raise ConfigError(f"{path / RESULTS_CSV}: cannot be read ({error})") from None
-    runs = path / compared.RUNS
-    folders = sorted(folder for folder in runs.iterdir() if folder.is_dir()) if runs.is_dir() else []
-    found = [row for row in map(finished_row, folders) if row is not None]
+    found = list(finished_rows(path).values())
     kept = f"{len(found)} finished runs are shown" if found else "without plots"
     missing.append(f"{path / RESULTS_CSV} is missing, as in a comparison that is not finished: {kept}")
     return found

@@ -88,12 +88,7 @@ def arrow(values: Sequence[float], digits: int) -> str:
 def curve(time: Array, values: Array, key: Key, *, peak: bool = False) -> dict[str, Any]:
     """A line of at most `POINTS` points: regular samples or, with `peak`, the greatest in each interval."""
     stride = -(-len(time) // POINTS)
-    if stride > 1 and peak:
-        whole = np.full(stride * -(-len(values) // stride), np.nan)
-        whole[: len(values)] = values
-        kept = np.fmax.reduce(whole.reshape(-1, stride), axis=1)
-    else:
-        kept = values[::stride]
+    kept = np.fmax.reduceat(values, np.arange(0, len(values), stride)) if peak else values[::stride]
     return line(numbers(time[::stride]), kept, key, width=1.7)
 
 
