@@ -109,9 +109,9 @@ class Problem(ABC):
     def score(self, rollout: Rollout) -> Array:
         """Objective of each episode of a rollout, (n,)."""
 
-    @abstractmethod
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
-        """Starts of the validation episodes, the first unperturbed, and their control steps."""
+        """Starts of the validation episodes, the first unperturbed, and their control steps: here whole episodes."""
+        return perturbed_start(episodes, 1, rng), self.steps
 
     @property
     def initial(self) -> Array:
@@ -241,7 +241,7 @@ class ImitationProblem(Problem):
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
         """The first episode nominal, the others perturbed at random phases; for a motion that ends, all whole."""
         if not self._repeats:
-            return perturbed_start(episodes, 1, rng), self.steps
+            return super().validation(episodes, duration_s, rng)
         steps = round(duration_s * self.config.rate_hz)
         return perturbed_start(episodes, self.demonstration.n_samples, rng), steps
 

@@ -25,7 +25,6 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.plan import Start, perturbed_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.contacts import swing_tops
 from fastmimic.motion.motion import Motion
@@ -154,10 +153,6 @@ class StitchedProblem(Problem):
             fallen = replace(part, fell=part.fell | (rollout.fell & (part.steps == 0)))
             total += share * (part.reward - clearance_penalty(self.objective, fallen, wanted))
         return total
-
-    def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
-        """Whole episodes; all but the first perturbed."""
-        return perturbed_start(episodes, 1, rng), self.steps
 
 
 def make_problem(

@@ -63,8 +63,8 @@ class Offscreen:
         self.height = int(model.vis.global_.offheight)
         self._gl, self._context = _open(model, self.width, self.height)
 
-    def draw(self, scenes: "Sequence[mujoco.MjvScene]", columns: int | None = None) -> NDArray[np.uint8]:
-        """The scenes in a grid, row by row: (height, width, 3), first row on top; one row if `columns` is None."""
+    def draw(self, scenes: "Sequence[mujoco.MjvScene]", columns: int) -> NDArray[np.uint8]:
+        """The scenes in a grid of so many columns, row by row: (height, width, 3), first row on top."""
         import mujoco
 
         self._gl.make_current()
@@ -85,10 +85,9 @@ class Offscreen:
         self._gl.free()
 
 
-def grid_cells(count: int, width: int, height: int, columns: int | None = None) -> list[tuple[int, int, int, int]]:
+def grid_cells(count: int, width: int, height: int, columns: int) -> list[tuple[int, int, int, int]]:
     """Left, top, right, bottom of the cells of a grid of `width` x `height` pixels for `count` pictures, row by row, in
-    pixels from the top left; the last row is completed by empty cells. One row if `columns` is None."""
-    columns = count if columns is None else columns
+    pixels from the top left; the last row is completed by empty cells."""
     rows = -(-count // columns)
     x = np.linspace(0, width, columns + 1).round().astype(int).tolist()
     y = np.linspace(0, height, rows + 1).round().astype(int).tolist()
