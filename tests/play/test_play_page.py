@@ -26,6 +26,7 @@ from fastmimic.play.session import LiveSession
 from fastmimic.reference.motion_set import IN_PLACE
 from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot
+from fastmimic.steering.gait_field import Grid, gait_field
 from fastmimic.viewer.viewer import HOST
 
 GAMEPAD = """
@@ -67,10 +68,10 @@ def test_without_viser_it_says_what_to_install(
 
 
 def test_the_field_of_keys_and_stick_is_read() -> None:
-    assert read_steering(IDLE) == (0.0, 0.0)
-    assert read_steering("steer +1.00 -0.25") == (1.0, -0.25)
-    assert read_steering("steer +9.99 -9.99") == (1.0, -1.0)
-    for text in ("", "steer", "steer a b", "steer 1 0", "left"):
+    assert read_steering(IDLE) == (0.0, 0.0, 0.0)
+    assert read_steering("steer +1.00 -0.25 +0.50") == (1.0, -0.25, 0.5)
+    assert read_steering("steer +9.99 -9.99 +0.00") == (1.0, -1.0, 0.0)
+    for text in ("", "steer", "steer a b c", "steer 1 0 0", "steer +1.00 -0.25", "left"):
         assert read_steering(text) is None
     assert "<script" not in steering_script()  # which a browser would not run
 
@@ -166,17 +167,6 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         page.wait_for_timeout(500)
         assert given() == pytest.approx(4.0, rel=0.15)  # `test_play_session` says what a push does
 
-        page.mouse.click(300, 250)
-        page.keyboard.down("ArrowLeft")
-        until(lambda: session.modulation["turn"] > 0.5, page)
-        page.keyboard.up("ArrowLeft")
-        until(lambda: session.modulation["turn"] == 0.0, page)
-        page.evaluate("window.pad.axes[0] = 0.8")
-        until(lambda: session.modulation["turn"] < -0.5, page)
-        page.evaluate("window.pad.axes[0] = 0.0")
-        until(lambda: session.modulation["turn"] == 0.0, page)
-        assert session.falls == 0
-
         page.keyboard.press("Space")
         page.get_by_role("button", name="Go on", exact=True).wait_for()
         steps = session.steps
@@ -191,6 +181,38 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         until(lambda: session.state == IN_PLACE, page)
         assert "real time" in live.panel._state.content
         assert "µs" in live.panel._figures.content
+        assert wrong == []
+        page.close()
+
+
+def test_a_browser_steers(browser: Any) -> None:
+    gaits = gait_field("a1", grid=Grid((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0)))
+    session = LiveSession(gaits.robot, {}, gaits=gaits)
+
+    def wanted() -> list[float]:
+        return [round(float(value), 2) for value in session.reference.place["wanted"][0]]
+
+    with served(session, 8755) as live:
+        page = browser.new_page(viewport={"width": 700, "height": 520})
+        page.add_init_script(GAMEPAD)
+        wrong = errors_of(page)
+        page.goto(live.url)
+        page.get_by_role("button", name="Stop", exact=True).wait_for(timeout=1e3 * PATIENCE_S)
+        until(lambda: picture(page).std() > 12.0, page)
+        page.mouse.click(300, 250)
+        for key, there in (("ArrowUp", [0.7, 0.0, 0.0]), ("KeyA", [0.0, 0.0, 1.0]), ("KeyE", [0.0, -0.2, 0.0])):
+            page.keyboard.down(key)
+            until(lambda there=there: wanted() == there, page)  # type: ignore[misc]
+            page.keyboard.up(key)
+            until(lambda: wanted() == [0.0, 0.0, 0.0], page)
+        page.evaluate("window.pad.axes = [0.8, -1.0, 0.0, 0.0]")
+        until(lambda: wanted() == [0.7, 0.0, -1.0], page)
+        began = session.observation["root_pos"][:2].copy()
+        until(lambda: float(np.hypot(*(session.observation["root_pos"][:2] - began))) > 0.3, page)
+        page.evaluate("window.pad.axes = [0.0, 0.0, 0.0, 0.0]")
+        until(lambda: session.state == "standing", page)
+        assert session.falls == 0
+        assert "m/s" in live.panel._figures.content
         assert wrong == []
         page.close()
 

@@ -11,20 +11,17 @@ import pytest
 
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.episode.loop import run_episodes
 from fastmimic.motion.motion import Motion
-from fastmimic.play.live_reference import RATES
 from fastmimic.play.page import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import DEFAULTS, LiveSession, load_motions, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
-from fastmimic.reference.course import course_of, since_middle
-from fastmimic.reference.modulation import LIFT, SPEED, TURN_ACCELERATION, make_tempo
+from fastmimic.reference.course import course_of
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND
-from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.reference.stream import Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
-from fastmimic.render.tracks import world_feet
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions, parse_terrain
@@ -34,12 +31,6 @@ from fastmimic.simulation.conditions import Conditions, parse_terrain
 def library(a1: Robot) -> MotionSet:
     """All that is played by default; transitions are made as they are needed, once for all tests."""
     return MotionSet(a1, load_motions(DEFAULTS, a1))
-
-
-def modulation(speed: float = 1.0, turn: float = 0.0, lift: float = 1.0) -> np.ndarray:
-    record = np.zeros(1, MODULATION)
-    record["speed"], record["turn"], record["lift"] = speed, turn, lift
-    return record
 
 
 def reach(session: LiveSession, name: str, within_s: float = 12.0) -> None:
@@ -70,7 +61,7 @@ def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion)
     place["pose"][0, 2] = yaw_from_quat(table["root_quat"][0])
     place["pose"][0, :2] = table["root_pos"][0, :2]
     for sample in range(trot.n_samples // 2 + 20):  # beyond half a cycle every foot has lifted off and landed
-        stream.fill(course, None, place, modulation(), row)
+        stream.fill(course, None, place, row)
         want, pose = table[sample], place["pose"][0]
         np.testing.assert_allclose(pose[:2], want["root_pos"][:2], atol=1e-9)
         quat = quat_multiply(quat_from_yaw(pose[2]), row["root_quat"][0])
@@ -81,7 +72,7 @@ def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion)
         np.testing.assert_allclose(row["foot_pos"][0], want["foot_pos"], atol=1e-6)
         np.testing.assert_allclose(row["joint_pos"][0], want["joint_pos"], atol=1e-5)
         np.testing.assert_array_equal(row["contact"][0], want["contact"])
-        stream.advance(course, None, place, modulation(), np.zeros(2))
+        stream.advance(course, None, place, np.zeros(2))
 
 
 def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library: MotionSet) -> None:
@@ -92,40 +83,6 @@ def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library:
         rewards.append(session.snapshot().reward)
     offline = run_episodes(a1, trot, duration_s=2.0)
     assert np.mean(rewards) == pytest.approx(float(offline.reward[0]), abs=2e-3)
-
-
-@pytest.mark.parametrize("speed", [0.9, 1.0, 1.2])
-def test_standing_feet_stay_where_they_are_in_a_curve(a1: Robot, speed: float) -> None:
-    trot = load_motion("trot", a1, executable=False)  # its feet do not roll
-    course, stream, place, row = course_of(trot, a1), Stream(a1, trot.rate_hz), make_place(), np.zeros(1, SAMPLE)
-    course["sync"] = 0
-    change = modulation(speed, turn=0.4)
-    feet: list[list[np.ndarray]] = [[] for _ in range(4)]
-    slid = []
-    for _ in range(3 * trot.n_samples):
-        stream.fill(course, None, place, change, row)
-        pose = place["pose"][0]
-        level = row["root_pos"][0] + quat_rotate(row["root_quat"][0], row["foot_pos"][0])
-        world = pose[:2] + rotate_planar(pose[2], level[:, :2])
-        for leg in range(4):
-            if row["contact"][0, leg]:
-                feet[leg].append(world[leg])
-            elif feet[leg]:
-                slid.append(np.ptp(np.array(feet[leg]), axis=0).max())
-                feet[leg] = []
-        stream.advance(course, None, place, change, np.zeros(2))
-    assert len(slid) >= 8
-    # they would slide by centimetres if the frame turned and the feet did not: 0.13 s × 0.4 rad/s × 0.25 m
-    assert max(slid) < 0.003
-
-
-def test_since_middle_is_time_in_stance_and_returns_in_swing() -> None:
-    contact = np.array([True] * 10 + [False] * 6)
-    found = since_middle(contact, 10.0, periodic=True)
-    np.testing.assert_allclose(found[:10], (np.arange(10) - 5) / 10.0)
-    assert found[10] == pytest.approx(0.5)
-    assert np.all(np.abs(found) < 0.7)
-    assert not since_middle(np.ones(8, dtype=bool), 10.0, periodic=True).any()
 
 
 def test_switching_among_all_defaults_does_not_fall(a1: Robot, library: MotionSet) -> None:
@@ -151,79 +108,6 @@ def test_the_reference_of_a_switch_is_one_that_joints_can_follow(a1: Robot, libr
         states.add(session.state)
     assert {"trot → pace", "pace"} <= states
     assert fastest < 1.05  # a seam would show as a jump of the joints
-
-
-def test_speed_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
-    session = LiveSession(a1, library, start="walk")
-    session.run(1.0)
-    own = mean_velocity(session, 1.6)[0]
-    session.want("speed", 1.2)
-    session.run(1.5)
-    assert session.modulation["speed"] == pytest.approx(1.2)
-    assert mean_velocity(session, 1.6)[0] == pytest.approx(1.2 * own, rel=0.05)
-    assert session.falls == 0
-
-
-def test_turning_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
-    session = LiveSession(a1, library, start="trot")
-    for rate in (0.4, -0.4):
-        session.want("turn", rate)
-        session.run(1.5)
-        assert mean_velocity(session, 1.5)[2] == pytest.approx(rate, abs=0.05)
-    assert session.falls == 0
-
-
-def test_swing_height_is_what_was_asked_for(a1: Robot, library: MotionSet) -> None:
-    peaks = []
-    for factor in (0.6, 1.5):
-        session = LiveSession(a1, library, start="in-place")
-        session.want("lift", factor)
-        session.run(1.5)
-        heights = []
-        for _ in range(500):
-            session.step()
-            now = session.snapshot()
-            heights.append(world_feet(a1, now.pose[None])[0, :, 2].max())
-        peaks.append(max(heights) - a1.foot_radius)
-        assert session.falls == 0
-    assert peaks[1] / peaks[0] == pytest.approx(1.5 / 0.6, rel=0.25)
-
-
-def test_what_is_asked_for_is_cut_to_the_limits_and_followed_at_a_limited_rate(a1: Robot, library: MotionSet) -> None:
-    session = LiveSession(a1, library, start="trot")
-    session.want("turn", 10.0)
-    session.want("lift", 10.0)
-    session.step()
-    assert session.modulation["turn"] == pytest.approx(RATES["turn"] * session.dt)
-    session.run(2.0)
-    limits = library.entry("trot").limits
-    assert session.modulation == {"speed": 1.0, "turn": limits.turn[1], "lift": limits.lift[1]}
-    assert limits.turn[1] * 1.25 * limits.speed[1] == pytest.approx(TURN_ACCELERATION, rel=0.05)
-    assert limits.lift[1] <= LIFT[1]
-    assert library.entry(STAND).limits.turn == (0.0, 0.0)
-    with pytest.raises(ConfigError, match="must be a number"):
-        session.want("speed", math.nan)
-
-
-def test_a_transition_waits_for_the_motions_own_speed(a1: Robot, library: MotionSet) -> None:
-    session = LiveSession(a1, library, start="trot")
-    session.want("speed", 1.1)
-    session.run(1.0)
-    assert session.modulation["speed"] == pytest.approx(1.1)
-    reach(session, "walk")
-    session.run(1.0)
-    assert session.modulation["speed"] == pytest.approx(1.1)  # and is taken up again
-    assert session.falls == 0
-
-
-def test_a_faster_motion_is_another_one(a1: Robot, trot: Motion) -> None:
-    tempo = make_tempo(a1, trot, SPEED)
-    own, fast = tempo.at(1.0), tempo.at(SPEED[1])
-    np.testing.assert_array_equal(own["contact"], fast["contact"])
-    moved = np.abs(fast["foot"] - own["foot"]).max()
-    assert 1e-3 < moved < 0.05
-    between = tempo.at(0.5 * (1 + SPEED[1]))
-    np.testing.assert_allclose(between["root_z"], 0.5 * (own["root_z"] + fast["root_z"]))
 
 
 def test_a_push_changes_the_velocity(a1: Robot, library: MotionSet) -> None:
@@ -332,11 +216,10 @@ def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1
         np.testing.assert_array_equal(entry.demonstration[name], own[name])
     session.run(1.0)
     reach(session, IN_PLACE)
-    session.want("speed", 0.95)
+
     reach(session, "optimised")
     session.run(1.0)
     assert session.falls == 0
-    assert session.modulation["speed"] == pytest.approx(0.95)
 
 
 def test_what_cannot_be_played_is_refused(a1: Robot, trot: Motion, library: MotionSet) -> None:
@@ -401,9 +284,10 @@ def test_a_dog_is_played(a1: Robot) -> None:
 
 
 def test_on_a_terrain_it_stands_gets_up_and_is_scored_from_the_ground(library: MotionSet, a1: Robot) -> None:
-    ground = Conditions(terrain=parse_terrain("side-slope=8")).ground
+    conditions = Conditions(terrain=parse_terrain("side-slope=8"))
+    ground = conditions.ground
     assert ground is not None
-    session = LiveSession(a1, library, terrain=ground)
+    session = LiveSession(a1, library, conditions=conditions)
     session.run(0.1)
     assert session.snapshot().reward > 0.8
     session.fall()
@@ -414,3 +298,16 @@ def test_on_a_terrain_it_stands_gets_up_and_is_scored_from_the_ground(library: M
     above = now.pose[2] - float(ground.height(now.pose[0], now.pose[1]))
     assert above == pytest.approx(a1.home_height, abs=0.05)
     assert now.reference[2] - float(ground.height(now.reference[0], now.reference[1])) == pytest.approx(above, abs=0.05)
+
+
+def test_a_live_session_has_sensors_and_disturbances(library: MotionSet, a1: Robot) -> None:
+    conditions = Conditions(observe="sensors", disturbances=("payload=2",))  # type: ignore[arg-type]
+    session = LiveSession(a1, library, start="trot", conditions=conditions)
+    session.run(5.0)
+    assert session.falls == 0
+    assert session.snapshot().reward > 0.6
+    assert session._observer is not None
+    told = session._observer.estimator.observation["root_pos"][0]
+    assert 1e-4 < float(np.linalg.norm(told - session.observation["root_pos"])) < 0.5
+    with pytest.raises(ConfigError, match="simulated by mujoco"):
+        LiveSession(a1, library, conditions=Conditions(simulator="pybullet"))

@@ -14,6 +14,7 @@ from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder
 from fastmimic.base.text import plain
+from fastmimic.commands.console import count_progress
 from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
@@ -28,8 +29,11 @@ from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
+    from fastmimic.steering.gait_field import GaitField
 
 DEFAULT_ROBOT: Final = "a1"
+STEER: Final = "steer"
+"""In place of a motion: the robot is steered."""
 MAX_DURATION_S: Final = 3600.0
 RUNS: Final = Path("runs")
 Result = TypeVar("Result")
@@ -289,6 +293,14 @@ def apply(function: Callable[..., Result], *groups: Any, **others: Any) -> Resul
 def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
     """The robot that was asked for, else the first that a source names, else the default one."""
     return load_robot(robot_name(robot, *sources))
+
+
+def gaits_of(robot: str | None) -> "GaitField":
+    """The gaits with which a robot is steered; says how far it is when they are made."""
+    from fastmimic.steering.gait_field import gait_field
+
+    with count_progress("gaits made executable, once for this robot:") as progress:
+        return gait_field(robot or DEFAULT_ROBOT, progress, workers=None)
 
 
 def robot_name(robot: str | None, *sources: MotionSource) -> str:

@@ -2,13 +2,10 @@
 
 import dataclasses
 import math
-import signal
 import sys
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -16,15 +13,14 @@ from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, MotionError, OutputError
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import count_progress, note, on_signal, put, slow_start
+from fastmimic.commands.console import count_progress, note, put, slow_start
 from fastmimic.commands.deployment_logs import check_truth, open_log
-from fastmimic.control.config import controller_config
 from fastmimic.deploy.log import is_deployment_log
 from fastmimic.episode.plan import default_duration
 from fastmimic.imitation.methods import METHODS, controller_for, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.render.encoding import ENDINGS, QUALITIES
-from fastmimic.robot import Robot, load_robot
+from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.simulation.conditions import Conditions
 
@@ -319,55 +315,6 @@ class View:
                 log=True,
             ).rollout
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Play:
-    """Simulates a robot under the controller live in the browser. Switch motions, steer, change speed, yaw rate, swing
-    height, friction and payload, and push the robot, by mouse, keyboard or gamepad. A robot that falls gets up again.
-
-    The server answers this machine's browsers only, at the whole address that it prints; Ctrl-C ends it.
-    """
-
-    motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
-    """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
-    built-in gaits. "stand" and "in-place" are always available."""
-    robot: opt.RobotChoice = None
-    port: opt.Port = 8080
-    method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
-    config: opt.ConfigName = "default"
-    ideal: opt.Ideal = False
-    terrain: opt.TerrainName = None
-
-    def run(self) -> int:
-        from fastmimic.viewer.viewer import free_port, require_viser
-
-        require_viser()
-        free_port(self.port)  # before the motions are loaded
-        from fastmimic.play.page import PlayPage
-        from fastmimic.play.session import DEFAULTS, LiveSession, check_method, load_motions
-        from fastmimic.reference.motion_set import MotionSet, warm_up
-
-        check_method(self.method)
-        config, terrain = controller_config(self.config), opt.apply(Conditions, self).ground
-        sources = [find_motion(source) for source in self.motions or DEFAULTS]
-        name = opt.robot_name(self.robot, *sources)
-        robot = load_robot(name)
-        # transitions take about a second each: another process makes them, so that the simulation keeps real time
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
-            with on_signal(signal.SIG_IGN, signal.SIGINT):  # it ignores Ctrl-C from its first moment on: we handle it
-                executor.submit(warm_up, name)  # while this process loads
-            with slow_start():
-                motions = load_motions(sources, robot)
-                library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
-                session = LiveSession(
-                    robot, library, method=self.method, config=config, ideal=self.ideal, terrain=terrain
-                )
-            try:
-                with PlayPage(session, f"{robot.name}, live", self.port) as page:
-                    return serve(page, ", ".join(library.names), self.port)
-            finally:
-                executor.shutdown(wait=False, cancel_futures=True)
 
 
 def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:

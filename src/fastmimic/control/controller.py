@@ -275,10 +275,11 @@ class Controller:
         )
         self._work.scratch["uphill"][:, 2] = GRAVITY  # on level ground
 
-    def recover_with(self, motion: Motion) -> None:
-        """Takes recovery steps from now on as they fit a motion."""
+    def recover_with(self, motion: Motion | None) -> None:
+        """Takes recovery steps from now on as they fit a motion; none at all if None."""
         if motion is not self._recovers:
-            recovers = bool(self._config["recovery_steps"][0])
+            recovers = self.config.gait.recovery_steps and motion is not None
+            self._config["recovery_steps"] = recovers
             self._trots = recovery_gaits(motion, self._robot, self.config.regulator) if recovers else NO_RECOVERY
             self._recovers = motion
 

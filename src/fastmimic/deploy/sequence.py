@@ -22,7 +22,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of
 from fastmimic.reference.motion_set import MotionSet
 from fastmimic.reference.standing import STAND, standing
-from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.reference.stream import Stream, make_place
 from fastmimic.reference.table import (
     CLOCK,
     SAMPLE,
@@ -258,8 +258,6 @@ def _table(
 ) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
     """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, its gains (g,), each's start."""
     stream, place, row = Stream(robot, config.rate_hz), make_place(), np.zeros(1, SAMPLE)
-    modulation = np.zeros(1, MODULATION)
-    modulation["speed"] = modulation["lift"] = 1.0
     rows: list[Any] = []
     poses: list[Array] = []
     begins: list[int] = []
@@ -274,7 +272,7 @@ def _table(
             # interpolation looks a few rows beyond the end, into what follows
             place["exit"] = at + piece.last - i if piece is not following else -1
             place["entry"] = following.first % len(following.course)
-            stream.fill(course, following.course, place, modulation, row)
+            stream.fill(course, following.course, place, row)
             row["sync"], row["gain"] = course["sync"][at], course["gain"][at] + known
             rows.append(row[0].copy())
             poses.append(pose.copy())

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.base.errors import FastMimicError
-from fastmimic.play.live_reference import FRICTION, NEUTRAL
+from fastmimic.play.live_reference import FRICTION
 from fastmimic.play.session import playable_methods
+from fastmimic.steering.steered import Steered
 from fastmimic.viewer import panel
 from fastmimic.viewer.panel import Panel
 
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
     from fastmimic.viewer.viewer import Cameras
 
 _PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
-_SLIDERS: Final = {
-    "speed": ("speed ×", "of its own"),
-    "turn": ("turn, rad/s", "rad/s added to its own"),
-    "lift": ("swing height ×", "of its own"),
-}  # labels, and the limits' meaning
 _DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ on": 0.0, "↓ back": 180.0}
 _MOTION_KEYS: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "0")
 _MAX_IMPULSE: Final = 20.0
@@ -33,8 +29,13 @@ _MAX_PAYLOAD_KG: Final = 6.0
 _THERE_RGB: Final = "#1a7f37"
 _ON_THE_WAY_RGB: Final = "#9a6700"
 _TROUBLE_RGB: Final = "#b03060"
+_VELOCITY: Final = {
+    "forwards, m/s": (-0.5, 1.5),
+    "to the left, m/s": (-0.4, 0.4),
+    "turn to the left, rad/s": (-2.0, 2.0),
+}  # sliders of a steered robot
 _STICK: Final = "steer"  # first word of the stick's field, which identifies it
-IDLE: Final = f"{_STICK} +0.00 +0.00"
+IDLE: Final = f"{_STICK} +0.00 +0.00 +0.00"
 _HIDDEN: Final = ("ghost", "names")  # at first; the ghost of a good follower is inside the robot
 
 
@@ -45,21 +46,22 @@ class PlayPanel(Panel):
         gui = page.server.gui
         super().__init__(gui, heading)
         self._pacer, self._history, self._session = page.pacer, page.history, page.session
-        self._steering = (0.0, 0.0)
+        self._steering = (0.0, 0.0, 0.0)
         self._mistake: str | None = None
         self._state = gui.add_html("")
         self._pause = gui.add_button("Pause")
         self._pause.on_click(lambda _event: self._toggle())
-        motions = gui.add_button_group("motion", self._session.library.names)
-        motions.on_click(lambda _event: self._do(lambda: self._session.switch(str(motions.value))))
-        self._add_modulation()
+        self._sliders: dict[str, Any] = {}
+        if self._session.steered:
+            self._add_velocity()
+        else:
+            motions = gui.add_button_group("motion", self._session.library.names)
+            motions.on_click(lambda _event: self._do(lambda: self._session.switch(str(motions.value))))
         self._add_push()
         self._add_world()
         self._add_view(page.scene, cameras)
         self._add_keys()
         self._add_charts()
-        self._limits: Any = None
-        self.show_limits()
 
     def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
         row = take.rows - 1
@@ -69,21 +71,6 @@ class PlayPanel(Panel):
         self._table.content = panel.leg_table(take, row)
         if len(plot[0]) > 1:
             self._plot.data = plot
-        self.show_limits()
-
-    def show_limits(self) -> None:
-        """Shows the present motion's modulation limits at the sliders."""
-        limits = self._session.library.entry(self._session.motion).limits
-        if limits == self._limits:
-            return
-        self._limits = limits
-        for name, (_label, words) in _SLIDERS.items():
-            low, high = getattr(limits, name)
-            slider = self._sliders[name]
-            slider.disabled = high <= low
-            slider.hint = (
-                f"{low:.2f} to {high:.2f} {words}" if high > low else f"{self._session.motion} has no step to change"
-            )
 
     def _status(self) -> str:
         session, pacer = self._session, self._pacer
@@ -104,21 +91,21 @@ class PlayPanel(Panel):
     def _numbers(self) -> str:
         session = self._session
         median, p99 = session.control_us
-        modulation = session.modulation
+        wanted = []
+        if isinstance(session.reference, Steered):
+            values = ", ".join(f"{v:+.2f}" for v in session.reference.place["wanted"][0])
+            wanted.append(("wanted, m/s, m/s, rad/s", values))
         rows = (
             ("control step, median", f"{median:.0f} µs"),
             ("99 of 100 below", f"{p99:.0f} µs of {1e6 * session.dt:.0f}"),
-            (
-                "speed × turn × swing height",
-                f"{modulation['speed']:.2f}, {modulation['turn']:+.2f} rad/s, {modulation['lift']:.2f}",
-            ),
+            *wanted,
             ("falls", f"{session.falls}"),
             ("simulated", f"{session.time_s:.0f} s"),
         )
         cells = "".join(f'<tr><td>{a}</td><td style="text-align:right">{b}</td></tr>' for a, b in rows)
         return f'<table style="width:100%;font-size:12px;font-variant-numeric:tabular-nums">{cells}</table>'
 
-    def _do(self, what: Callable[[], None]) -> None:
+    def _do(self, what: Callable[[], object]) -> None:
         """Acts on the session between its steps."""
         with self._pacer.lock:
             try:
@@ -127,37 +114,29 @@ class PlayPanel(Panel):
             except FastMimicError as error:
                 self._mistake = str(error)
 
-    def _add_modulation(self) -> None:
-        """Sliders from the least to the greatest limit of all motions."""
-        self._sliders: dict[str, Any] = {}
-        for name, texts in _SLIDERS.items():
-            own = NEUTRAL[name]
-            found = np.array([getattr(entry.limits, name) for entry in self._session.library.entries.values()])
-            low, high = np.floor(100 * min(own, found.min())) / 100, np.ceil(100 * max(own, found.max())) / 100
-            self._sliders[name] = self._gui.add_slider(texts[0], float(low), float(high), 0.01, own)
+    def _add_velocity(self) -> None:
+        """Sliders of the velocity, which keys and stick add to."""
+        for name, (low, high) in _VELOCITY.items():
+            self._sliders[name] = self._gui.add_slider(name, low, high, 0.05, 0.0)
             self._sliders[name].on_update(lambda _event: self._steer())
-        straight = self._gui.add_button("As it is", hint="speed, turn and swing height of the motion itself")
+        stop = self._gui.add_button("Stop", hint="stand")
 
-        @straight.on_click
+        @stop.on_click
         def _(_event: Any) -> None:
-            for name, slider in self._sliders.items():
-                slider.value = NEUTRAL[name]
+            for slider in self._sliders.values():
+                slider.value = 0.0
             self._steer()
 
     def _steer(self) -> None:
-        """Combines sliders, keys and stick: full deflection is the motion's limit."""
-        session = self._session
-        left, on = self._steering
-
-        def want() -> None:
-            limits = session.library.entry(session.motion).limits
-            fast, slow = limits.speed[1] - 1.0, 1.0 - limits.speed[0]
-            speed, turn, lift = (float(slider.value) for slider in self._sliders.values())
-            session.want("speed", speed + (on * fast if on > 0 else on * slow))
-            session.want("turn", turn + left * limits.turn[1])
-            session.want("lift", lift)
-
-        self._do(want)
+        """Adds keys and stick to the sliders: full deflection is the limit of the velocity."""
+        if not self._session.steered:
+            return
+        left, on, aside = self._steering
+        sticks = zip(self._sliders.values(), _VELOCITY.values(), (on, aside, left), strict=True)
+        velocity = [
+            float(slider.value) + stick * (high if stick > 0 else -low) for slider, (low, high), stick in sticks
+        ]
+        self._do(lambda: self._session.steer(velocity))
 
     def _add_push(self) -> None:
         gui, session = self._gui, self._session
@@ -223,6 +202,8 @@ class PlayPanel(Panel):
         command("Pause or go on", "space", self._toggle)
         command("Push", "P", self._shove)
         command("Motors off", "X", self._limp)
+        if session.steered:
+            return
         command("Motion before", "pageup", lambda: self._do(lambda: at(-1)))
         command("Next motion", "pagedown", lambda: self._do(lambda: at(1)))
         for key, name in zip(_MOTION_KEYS, session.library.names, strict=False):
@@ -256,10 +237,10 @@ def _beside(name: str) -> str:
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-def read_steering(text: str) -> tuple[float, float] | None:
-    """(to the left, forwards), each in [−1, 1], from the field's text; None for another text."""
-    found = re.fullmatch(rf"{_STICK} ([+-]\d\.\d\d) ([+-]\d\.\d\d)", text.strip())
+def read_steering(text: str) -> tuple[float, float, float] | None:
+    """(turn to the left, forwards, sideways to the left), each in [−1, 1], from the field's text; None for another."""
+    found = re.fullmatch(rf"{_STICK}" + r" ([+-]\d\.\d\d)" * 3, text.strip())
     if found is None:
         return None
-    left, on = (min(max(float(v), -1.0), 1.0) for v in found.groups())
-    return left, on
+    left, on, aside = (min(max(float(v), -1.0), 1.0) for v in found.groups())
+    return left, on, aside

@@ -1,11 +1,10 @@
-"""What a live robot follows: a modulated motion, and the transitions between motions; and what happens to it: pushes,
-another friction, a payload, and getting up after a fall.
+"""What a live robot follows: a motion, and the transitions between motions; and what happens to it: pushes, another
+friction, a payload, and getting up after a fall.
 
 It gets up by relaxing its joints, folding its legs and rising; if it lies on its side or back, it is first set upright.
 """
 
 import math
-from dataclasses import replace
 from enum import Enum
 from typing import Any, Final
 
@@ -13,24 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, MotionError, unknown
+from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.episode.loop import on_ground
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition
-from fastmimic.reference.modulation import Limits
 from fastmimic.reference.motion_set import Entry, MotionSet
 from fastmimic.reference.standing import STAND, along, rising_path, smooth, standing_gains
-from fastmimic.reference.stream import MODULATION, Stream, make_place
+from fastmimic.reference.stream import Stream, make_place
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
 from fastmimic.simulation.simulators import Placement
-
-RATES: Final = {"speed": 0.5, "turn": 1.2, "lift": 0.8}  # rates of modulation: 1/s, rad/s², 1/s
-NEUTRAL: Final = {"speed": 1.0, "turn": 0.0, "lift": 1.0}  # leaves the motion unchanged
-_LANDED: Final = 1e-9
-_PACING: Final = 10  # control steps between changes of the course while the speed changes
 
 PUSH_S: Final = 0.1  # duration of a push
 MAX_IMPULSE: Final = 100.0
@@ -46,20 +39,17 @@ _TRIES: Final = 3
 
 class LiveReference:
     """The reference motion of a live session at `rate_hz` control steps a second. `goal` is the motion requested,
-    `start` at first; `trouble` why the robot does not reach it, None if it does; `wanted` the modulation requested;
-    `place` that of the reference, one record of `make_place`."""
+    `start` at first; `trouble` why the robot does not reach it, None if it does; `place` that of the reference, one
+    record of `make_place`."""
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
-        self._library, self._dt = library, 1.0 / rate_hz
+        self._library = library
         self._stream = Stream(robot, rate_hz)
-        self.place, self._modulation = make_place(), np.zeros(1, MODULATION)
-        self.wanted = dict(NEUTRAL)
-        self._set_neutral()
+        self.place = make_place()
         self._transition: CourseTransition | None = None
         self._armed: tuple[str, CourseTransition] | None = None
         self.trouble: str | None = None
-        self._enter(library.entry(start))
-        self._following = self._entry
+        self._entry = self._following = library.entry(start)
         self.goal = start
 
     @property
@@ -77,38 +67,11 @@ class LiveReference:
             return f"{self._entry.name}, going to {self.goal}" + ("" if self._armed else " (preparing)")
         return self._entry.name
 
-    @property
-    def limits(self) -> Limits:
-        """Present limits of the modulation: in a transition, those that both motions allow, at their own speed."""
-        limits = self._entry.limits
-        target = self._armed[0] if self._armed is not None else None
-        if self._transition is not None:
-            target = self._following.name
-        if target is not None:
-            return replace(limits.within(self._library.entry(target).limits), speed=(1.0, 1.0))
-        if self._modulation["speed"][0] == self.wanted["speed"] == 1.0:
-            return replace(limits, speed=(1.0, 1.0))
-        tempo = self._library.tempo(self._entry.name)
-        return replace(limits, speed=(1.0, 1.0) if tempo is None else (tempo.speeds[0], tempo.speeds[-1]))
-
-    @property
-    def modulation(self) -> dict[str, float]:
-        """The present modulation: speed, turn (rad/s), lift."""
-        return {name: float(self._modulation[name][0]) for name in self.wanted}
-
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
         self._library.entry(name)
         self.goal, self.trouble = name, None
         self._disarm()
-
-    def want(self, name: str, value: float) -> None:
-        """Requests a modulation, cut to the limits; raises `ConfigError` for another name, or if it is no number."""
-        if name not in NEUTRAL:
-            raise unknown("modulation", name, NEUTRAL)
-        if not math.isfinite(value):
-            raise ConfigError(f"{name} must be a number, found {value}")
-        self.wanted[name] = float(value)
 
     def put(self, x: float, y: float, yaw: float) -> None:
         """Starts the present motion here; drops a transition."""
@@ -117,9 +80,8 @@ class LiveReference:
         self.place["pose"][0] = (x, y, yaw)
 
     def stand(self, x: float, y: float, yaw: float) -> None:
-        """Starts standing here, without modulation."""
-        self._enter(self._library.entry(STAND))
-        self._set_neutral()
+        """Starts standing here."""
+        self._entry = self._library.entry(STAND)
         self.put(x, y, yaw)
 
     def give_up_transition(self) -> None:
@@ -127,14 +89,9 @@ class LiveReference:
         self._transition = None
         self._disarm()
 
-    def update(self, step: int) -> None:
-        """Changes modulation and course for the control step of this number."""
-        self._modulate(step)
-        self._route()
-
     def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
-        """Fills rows of `SAMPLE` with the reference from now on; if `scored`, the demonstration, modulated alike."""
-        self._stream.fill(*self._courses(scored), self.place, self._modulation, rows)
+        """Fills rows of `SAMPLE` with the reference from now on; if `scored`, with the demonstration."""
+        self._stream.fill(*self._courses(scored), self.place, rows)
 
     @property
     def demonstration(self) -> Motion:
@@ -148,7 +105,7 @@ class LiveReference:
 
     def advance(self, base_xy: Array, haste: float = 0.0) -> None:
         """Advances by a control step that ended with the base at (2,), world, m; `haste` is the controller's."""
-        self._stream.advance(*self._courses(), self.place, self._modulation, base_xy, haste)
+        self._stream.advance(*self._courses(), self.place, base_xy, haste)
         if self.place["left"][0]:
             self._arrived()
 
@@ -159,42 +116,13 @@ class LiveReference:
             now: Entry | CourseTransition = self._transition
             after = self._following
         else:
-            now, after = self._at_speed, self._armed[1] if self._armed is not None else None
+            now, after = self._entry, self._armed[1] if self._armed is not None else None
         if scored:
             return now.demonstration, None if after is None else after.demonstration
         return now.course, None if after is None else after.course
 
-    def _set_neutral(self) -> None:
-        for name, value in NEUTRAL.items():
-            self._modulation[name] = value
-
-    def _modulate(self, step: int) -> None:
-        """Approaches the wanted modulation at a limited rate, within the motion's limits."""
-        limits, now = self.limits, self._modulation
-        before = float(now["speed"][0])
-        for name, rate in RATES.items():
-            low, high = getattr(limits, name)
-            target = min(max(self.wanted[name], low), high)
-            value = float(now[name][0])
-            most = rate * self._dt
-            now[name] = target if abs(target - value) <= most else value + math.copysign(most, target - value)
-        speed = float(now["speed"][0])
-        now["speed_rate"] = (speed - before) / self._dt
-        if speed != self._paced and (step % _PACING == 0 or speed == 1.0):
-            self._pace(speed)
-
-    def _pace(self, speed: float) -> None:
-        """Takes the motion as it is at a speed."""
-        entry = self._entry
-        tempo = self._library.tempo(entry.name) if speed != 1.0 else None
-        self._paced, self._at_speed = speed, entry
-        if tempo is not None:
-            target = tempo.at(speed)
-            own = target if entry.course is entry.demonstration else tempo.changed(speed, entry.course)
-            self._at_speed = replace(entry, course=own, demonstration=target)
-
-    def _route(self) -> None:
-        """Looks for a path to the goal; starts it when both motions allow the modulation."""
+    def update(self) -> None:
+        """Looks for a path to the goal, and starts it."""
         if self._transition is not None or self.goal == self._entry.name or self.trouble is not None:
             return
         if self._armed is None:
@@ -207,20 +135,14 @@ class LiveReference:
                 return
             self._armed = hop
         _, transition = self._armed
-        if self.limits.hold(**self.modulation, slack=_LANDED):
-            self.place["exit"], self.place["entry"] = transition.leave, transition.first
-        else:
-            self.place["exit"] = -1
-
-    def _enter(self, entry: Entry) -> None:
-        self._entry, self._at_speed, self._paced = entry, entry, 1.0
+        self.place["exit"], self.place["entry"] = transition.leave, transition.first
 
     def _arrived(self) -> None:
         """Handles the start or end of a transition."""
         self.place["exit"] = -1
         if self._transition is not None:
             self._transition = None
-            self._enter(self._following)
+            self._entry = self._following
             return
         assert self._armed is not None
         name, self._transition = self._armed

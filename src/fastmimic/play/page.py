@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import viser
 
     from fastmimic.play.session import LiveSession, Snapshot
+    from fastmimic.steering.commands import CommandSocket
 
 CHUNK_S: Final = 0.01  # between checks of the clock, at least
 MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
@@ -42,10 +43,11 @@ _IDLE_S: Final = 0.05
 
 class Pacer:
     """Runs a session in real time in the calling thread, unless `paused`. Take `lock`, held while it steps, to use the
-    session elsewhere. `pace` is simulated time per second, ≤ 1; `realtime_factor` the share reached in `WINDOW_S`."""
+    session elsewhere. `pace` is simulated time per second, ≤ 1; `realtime_factor` the share reached in `WINDOW_S`. The
+    velocities that come to `commands` steer the session."""
 
-    def __init__(self, session: "LiveSession") -> None:
-        self.session = session
+    def __init__(self, session: "LiveSession", commands: "CommandSocket | None" = None) -> None:
+        self.session, self._commands = session, commands
         self.lock = threading.RLock()
         self.paused = False
         self.pace = 1.0
@@ -68,6 +70,8 @@ class Pacer:
     def advance(self, passed_s: float, record: Callable[[], None] | None = None, every: int = 1) -> int:
         """Takes the steps due after this much more real time; returns their number."""
         dt = self.session.dt
+        if self._commands is not None and (velocity := self._commands.velocity()) is not None:
+            self.session.steer(velocity)
         self._debt_s = min(self._debt_s + passed_s * self.pace, MOST_BEHIND_S)
         steps = int(self._debt_s / dt + 1e-9)
         for _ in range(steps):
@@ -192,12 +196,19 @@ class LiveScene(RobotScene):
 
 
 class PlayPage(WebPage):
-    """Plays a live session in this machine's browsers, on the first free port from `port` on; raises as `WebPage`."""
+    """Plays a live session in this machine's browsers, on the first free port from `port` on, steered by `commands`,
+    too, if there are any; raises as `WebPage`."""
 
-    def __init__(self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT) -> None:
+    def __init__(
+        self,
+        session: "LiveSession",
+        heading: str,
+        port: int = DEFAULT_PORT,
+        commands: "CommandSocket | None" = None,
+    ) -> None:
         super().__init__(port)
         self.session = session
-        self.pacer = Pacer(session)
+        self.pacer = Pacer(session, commands)
         self.history = LiveHistory(session)
         self.scene = LiveScene(self.server, self.history)
         cameras = Cameras(self.server, session.robot, [0.0], 0.0)
@@ -228,7 +239,7 @@ class PlayPage(WebPage):
                         self.draw()
                     else:
                         with self.pacer.lock:
-                            self.session.library.prepare(self.session.motion)
+                            self.session.prepare()
             finally:
                 stop.set()
         simulation.result()

@@ -19,7 +19,9 @@ from fastmimic.clips.synthesis import GAITS
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
 from fastmimic.episode.loop import on_ground, on_reference
+from fastmimic.episode.observer import Observer
 from fastmimic.episode.reward import REWARD_TERMS, Scorer
+from fastmimic.estimation.estimator import START
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_reference import GettingUp, GettingUpPhase, LiveReference, LiveWorld
@@ -28,8 +30,12 @@ from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
+from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
-from fastmimic.simulation.terrain import Terrain
+from fastmimic.simulation.simulators import make_simulation
+from fastmimic.steering.gait_field import RATE_HZ as GAIT_RATE_HZ
+from fastmimic.steering.gait_field import GaitField
+from fastmimic.steering.steered import Steered
 
 DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
 _MADE: Final = {STAND: standing, IN_PLACE: in_place}
@@ -96,9 +102,9 @@ class LiveSession:
     """One robot in an endless simulation. One thread at a time.
 
     `motions` are cyclic ones by name, `start` is the first of them ("stand" if None), `method` the controller, one of
-    `playable_methods()`, `config` its parameters, or the name of a set; `ideal` as in `Conditions`; `terrain` is the
-    ground, flat if None. Raises `ConfigError` if there is no such motion, controller or configuration, `MotionError`
-    for a motion that cannot be played.
+    `playable_methods()`, `config` its parameters, or the name of a set. With `gaits` the robot is steered by a velocity
+    instead, see `steer`. Raises `ConfigError` if there is no such motion, controller or configuration, or the simulator
+    is not MuJoCo; `MotionError` for a motion that cannot be played.
 
     Example:
         session = LiveSession(load_robot("a1"), {"trot": load_motion("trot", "a1")})
@@ -115,8 +121,8 @@ class LiveSession:
         start: str | None = None,
         method: str = "mbc",
         config: ControllerConfig | str = "default",
-        ideal: bool = False,
-        terrain: Terrain | None = None,
+        conditions: Conditions | None = None,
+        gaits: GaitField | None = None,
     ) -> None:
         self.robot = robot
         self._given = controller_config(config) if isinstance(config, str) else config
@@ -127,11 +133,22 @@ class LiveSession:
             if isinstance(motions, MotionSet)
             else MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
         )
-        self.simulation = MujocoSimulation(robot, 1, control_rate_hz=self.rate_hz, ideal=ideal, ground=terrain)
-        self.terrain = terrain
+        self.conditions = conditions if conditions is not None else Conditions()
+        simulation = make_simulation(robot, 1, self.conditions, control_rate_hz=self.rate_hz)
+        if not isinstance(simulation, MujocoSimulation):
+            raise ConfigError(f"a live session is simulated by mujoco, not by {self.conditions.simulator}")
+        self.simulation = simulation
+        self.terrain = self.conditions.ground
+        if gaits is not None and self.rate_hz != GAIT_RATE_HZ:
+            raise ConfigError(f"steering takes a controller at {GAIT_RATE_HZ:g} Hz, not at {self.rate_hz:g} Hz")
+        sensors = self.conditions.observe == "sensors"
+        self._observer = Observer(robot, 1, self.rate_hz, self.conditions) if sensors else None
+        self._seen: NDArray[Any] = simulation.observation
         self.world = LiveWorld(self.simulation)
         name = start if start is not None else STAND
-        self.reference = LiveReference(robot, self.library, self.rate_hz, name)
+        self.reference: LiveReference | Steered = (
+            LiveReference(robot, self.library, self.rate_hz, name) if gaits is None else Steered(gaits)
+        )
         self._clock = np.zeros(1, CLOCK)
         self._truth = np.zeros(1, SAMPLE)
         self._scorer = Scorer(robot, self._truth, 1, self._given, self.rate_hz)
@@ -150,12 +167,21 @@ class LiveSession:
 
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
+        if not isinstance(self.reference, LiveReference):
+            raise ConfigError("a steered robot plays no motions")
         self.reference.switch(name)
 
-    def want(self, name: str, value: float) -> None:
-        """Requests a modulation, cut to the motion's limits: "speed" and "lift" are factors on its own speed and swing
-        height, "turn" is a turn rate in addition to its own, rad/s, positive to the left."""
-        self.reference.want(name, value)
+    def steer(self, velocity: Sequence[float] | Array) -> Array:
+        """Requests a velocity (3,): forwards, to the left, m/s, turning to the left, rad/s. Returns the nearest one of
+        the gaits, which the robot comes to; raises `ConfigError` without gaits, or if it is not three numbers."""
+        if not isinstance(self.reference, Steered):
+            raise ConfigError("this session has no gaits to steer with")
+        return self.reference.steer(np.asarray(velocity, dtype=np.float64))
+
+    @property
+    def steered(self) -> bool:
+        """Whether a velocity steers the robot; otherwise it plays motions."""
+        return isinstance(self.reference, Steered)
 
     def push(self, impulse: float, direction: float = 0.5 * math.pi) -> None:
         """Pushes the trunk by `impulse`, N·s, in a direction from its heading, rad, positive to the left."""
@@ -198,11 +224,6 @@ class LiveSession:
     @property
     def motion(self) -> str:
         return self.reference.motion
-
-    @property
-    def modulation(self) -> dict[str, float]:
-        """The present modulation: speed, turn (rad/s), lift."""
-        return self.reference.modulation
 
     @property
     def fallen(self) -> bool:
@@ -254,6 +275,11 @@ class LiveSession:
 
     # simulation
 
+    def prepare(self) -> None:
+        """Begins to make what may be needed next, in the background."""
+        if isinstance(self.reference, LiveReference):
+            self.library.prepare(self.motion)
+
     def run(self, seconds: float) -> None:
         """Simulates this much time as fast as possible."""
         for _ in range(round(seconds * self.rate_hz)):
@@ -275,11 +301,11 @@ class LiveSession:
     def step(self) -> None:
         self.world.apply()
         if self.steps % _PREPARING == 0:
-            self.library.prepare(self.motion)
+            self.prepare()
         if self.fallen:
             self._get_up()
         else:
-            self.reference.update(self.steps)
+            self.reference.update()
             self._control()
         self.steps += 1
 
@@ -290,16 +316,25 @@ class LiveSession:
         if self.controller.config.stance.feedback == "regulator":
             self.controller.gains = self.reference.gains[None]
             self.controller.recover_with(self.reference.demonstration)
-        commands = self.controller.step(self.simulation.observation, self._clock)
+        commands = self.controller.step(self._seen, self._clock)
         self._control_s.append(time.perf_counter() - began)
-        observation = self.simulation.step(commands)
-        self.reference.advance(observation["root_pos"][0, :2], float(self.controller.memory["haste"][0]))
+        observer = self._observer
+        if observer is None:
+            observation = self._seen = self.simulation.step(commands)
+        else:
+            observation = self.simulation.step(observer.to_motors(commands))
+            self._seen = observer.look(observation, self.controller.memory, self._tables)
+        self.reference.advance(self._seen["root_pos"][0, :2], float(self.controller.memory["haste"][0]))
         self._score(observation)
 
     def _score(self, observation: NDArray[Any]) -> None:
-        """Scores against the present demonstration, modulated like the reference."""
+        """Scores against the present demonstration."""
         self.reference.fill(self._truth, scored=True)
         self._clock["origin"] = self.reference.place["pose"]
+        if self._observer is not None:  # the reference is where the robot is by its sensors
+            told, true = self._seen, observation
+            self._clock["origin"][:, :2] += true["root_pos"][:, :2] - told["root_pos"][:, :2]
+            self._clock["origin"][:, 2] += yaw_from_quat(true["root_quat"]) - yaw_from_quat(told["root_quat"])
         self._clock["jump"] = self.reference.place["jump"]
         seen = observation if self.terrain is None else self.terrain.seen(observation)
         self._scorer.score(self._clock, observation, self.controller.memory, seen)
@@ -330,4 +365,11 @@ class LiveSession:
         self._clock["origin"] = self.reference.place["pose"]
         self.controller.reset(np.zeros(1, np.int64))
         self._scorer.reset()
-        self._score(self.simulation.observation)
+        truth = self._seen = self.simulation.observation
+        if self._observer is not None:
+            known = np.zeros(1, START)
+            known["position"], known["heading"] = truth["root_pos"][:, :2], yaw_from_quat(truth["root_quat"])
+            known["velocity"] = truth["lin_vel"]
+            episode = np.array([self.falls])
+            self._seen = self._observer.reset(truth, known, self.controller.memory["stance"], episode, self._clock)
+        self._score(truth)

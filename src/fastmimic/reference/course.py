@@ -1,27 +1,22 @@
-"""A motion in its own moving frame, so that it can be modulated while it runs. Each sample is in the heading frame of
-the reference's root, and the root's path is the step to the next sample. A cycle is then periodic and a motion
-continuous into a transition, so phase, speed, turn and swing height can change at any moment without a jump.
+"""A motion in its own moving frame. Each sample is in the heading frame of the reference's root, and the root's path is
+the step to the next sample. A cycle is then periodic, a motion continuous into a transition, and gaits can be mixed.
 Stitching's transitions between motions are courses, too."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import floats, integers, record_dtype
 from fastmimic.base.rotations import (
     quat_from_yaw,
     quat_multiply,
     quat_rotate,
-    rotate_planar,
     turned_about_z,
     yaw_from_quat,
 )
-from fastmimic.motion.contacts import stances_of
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
@@ -29,30 +24,24 @@ from fastmimic.reference.table import reference_table
 from fastmimic.retargeting.track import steps
 from fastmimic.robot import Robot
 from fastmimic.stitching.join import default_cycles, stitch_motions
-from fastmimic.stitching.switch import Cycle
 from fastmimic.stitching.transition import Layout
 
 COURSE: Final = record_dtype(
     [
         *floats(step=2, turn=(), root_z=(), tilt=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
-        *floats(leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3), lift=4),
+        *floats(leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3)),
         ("contact", "i8", 4),
-        *floats(since_middle=4, travel=3),
         *integers(sync=(), gain=()),
     ]
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
 body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
-centre; `lift` of the foot above its foothold; `since_middle` of that function, `gain` of `SAMPLE`; `travel`, mean over
-a stride."""
-
-_STRIDE_S: Final = 0.5  # averaging time of the velocity of a motion that does not repeat
+centre; `gain` of `SAMPLE`."""
 
 
 def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
     """A cycle or stitched motion, at the controller's rate, as an array (t,) of `COURSE`."""
     table = reference_table(motion, robot)
-    periodic = motion.cycle is not None
     course = np.zeros(motion.n_samples, COURSE)
     yaw = np.unwrap(yaw_from_quat(table["root_quat"]))
     course["step"], course["turn"] = steps(table["root_pos"][:, :2], yaw, motion.cycle)
@@ -62,54 +51,13 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
         course[name] = turned_about_z(table[name], -yaw)
     course["foot"] = quat_rotate(course["tilt"][:, None], table["foot_pos"])
     course["foot"][..., 2] += course["root_z"][:, None]
-    target = motion.target  # the swing height multiplies the demonstration's heights
-    raised = np.maximum(target.foot_pos_w[..., 2] - robot.foot_radius, 0.0)
-    course["lift"] = np.where(target.contact, 0.0, raised)
     course["contact"] = table["contact"]
-    course["since_middle"] = np.stack(
-        [since_middle(motion.contact[:, leg], motion.rate_hz, periodic) for leg in range(4)], axis=-1
-    )
-    course["travel"] = _travel(motion)
     course["sync"], course["gain"] = table["sync"], table["gain"]
     return course
 
 
-def _travel(motion: Motion) -> Array:
-    """Velocity and turn rate (t, 3) of the root over a stride, heading frame, m/s and rad/s."""
-    if motion.cycle is not None:
-        return Cycle.of(motion).velocity
-    from scipy.ndimage import uniform_filter1d
-
-    planar = rotate_planar(-yaw_from_quat(motion.root_quat_wxyz), motion.root_lin_vel_w[:, :2])
-    velocity = np.column_stack([planar, motion.root_ang_vel_w[:, 2]])
-    return np.asarray(uniform_filter1d(velocity, max(1, round(_STRIDE_S * motion.rate_hz)), axis=0, mode="nearest"))
-
-
-def since_middle(contact: NDArray[np.bool_], rate_hz: float, periodic: bool) -> Array:
-    """Time (t,) since the middle of the stance, s; in swing a twice differentiable return to the next touch-down's
-    value. A standing foot in a turning frame moves on an arc about its position at mid-stance; this is its position on
-    the arc. It is 0 for a foot that never lifts off."""
-    n = len(contact)
-    out = np.zeros(n)
-    if contact.all() or not contact.any():
-        return out
-    wide = np.tile(contact, 3 if periodic else 1)
-    stances = stances_of(wide, periodic=False)
-    values = np.zeros(len(wide))
-    for touch_down, lift_off in stances:
-        t = np.arange(touch_down, lift_off)
-        values[t] = (t - 0.5 * (touch_down + lift_off)) / rate_hz
-    for before, after in pairwise(stances):
-        t, samples = np.arange(before.lift_off, after.touch_down), after.touch_down - before.lift_off
-        start, end = 0.5 * before.duration / rate_hz, -0.5 * after.duration / rate_hz
-        u, duration = (t - before.lift_off) / samples, samples / rate_hz
-        smooth = u**3 * (10 - 15 * u + 6 * u**2)  # a quintic, with slope 1 and no curvature at either end
-        values[t] = start + duration * u + (end - start - duration) * smooth
-    return np.asarray(values[n : 2 * n] if periodic else values)
-
-
 _MARGIN: Final = 4  # rows of the motions before and after a transition, for interpolation
-_MODULATED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
+_OPTIMISED: Final = ("root_z", "lin_vel", "ang_vel", "foot")
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +101,7 @@ def make_course_transition(
             continue
         at = (np.arange(layout.n) - segment.shift) % motion.n_samples
         own, target = course_of(motion, robot), course_of(motion.target, robot)
-        for name in _MODULATED:
+        for name in _OPTIMISED:
             share = feet[i][..., None] if name == "foot" else trunk[i]
             change = (own[name] - target[name])[at]
             course[name] += (share if change.ndim in (1, 3) else share[:, None]) * change

@@ -1,4 +1,4 @@
-"""Motions by name; their transitions and tempos are made in the background."""
+"""Motions by name; their transitions are made in the background."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -12,7 +12,6 @@ from fastmimic.base.errors import MotionError, unknown
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, course_of, make_course_transition
-from fastmimic.reference.modulation import Limits, Tempo, limits_of, make_tempo
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import STAND, standing
@@ -33,7 +32,6 @@ class Entry:
     motion: Motion
     course: NDArray[Any]
     demonstration: NDArray[Any]
-    limits: Limits
     gains: NDArray[Any]
 
     @property
@@ -62,7 +60,6 @@ class MotionSet:
         self._regulator = regulator if regulator is not None else RegulatorConfig()
         self._executor, self._source = executor, source if source is not None else robot.name
         self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
-        self.tempos: dict[str, Future[Tempo]] = {}
         self._busy: Future[Any] | None = None
         self.entries: dict[str, Entry] = {}
         for name, make in ((STAND, standing), (IN_PLACE, in_place)):
@@ -103,17 +100,8 @@ class MotionSet:
                 return IN_PLACE, through
         raise MotionError(f"no transitions lead from '{now}' to '{goal}'")
 
-    def tempo(self, name: str) -> Tempo | None:
-        """A motion's demonstration at speeds within its limits; None while it is being made."""
-        if name not in self.tempos or _broke(self.tempos[name]):
-            entry = self.entry(name)
-            speeds = tuple(speed for speed in entry.limits.speed if speed != 1.0)
-            self.tempos[name] = self._made(make_tempo, entry.motion.target, speeds)
-        found = self.tempos[name]
-        return found.result() if found.done() else None
-
     def prepare(self, now: str) -> None:
-        """Starts making a transition or tempo that may be needed next, unless one is still being made."""
+        """Starts making a transition that may be needed next, unless one is still being made."""
         if self._executor is None or (self._busy is not None and not self._busy.done()):
             return
         hub = [] if now == IN_PLACE else [(now, IN_PLACE), *((IN_PLACE, other) for other in self.names)]
@@ -122,9 +110,6 @@ class MotionSet:
             if before != after and (before, after) not in self._transitions:
                 self._busy = self._future(before, after)
                 return
-        if now not in self.tempos:
-            self.tempo(now)
-            self._busy = self.tempos[now]
 
     def _stands(self, name: str) -> bool:
         return self.entry(name).stands
@@ -157,7 +142,7 @@ def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float, regulator: R
     course = course_of(motion, robot)
     demonstration = course if motion.demonstration is None else course_of(motion.demonstration, robot)
     gains = motion_gains(motion, robot, regulator)
-    return Entry(name, motion, course, demonstration, limits_of(course, motion.joint_vel, robot), gains)
+    return Entry(name, motion, course, demonstration, gains)
 
 
 def in_place(robot: Robot) -> Motion:

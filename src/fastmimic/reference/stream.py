@@ -1,9 +1,6 @@
-"""Turns a modulated course into the table that the controller reads.
+"""Turns a course into the table that the controller reads, from any place in it, and from one course into the next.
 
-Speed scales the rate of the phase, φ̇ = s/τ, velocities with s, and accelerations with s². Turning bends the path: the
-frame turns by ω, and each foot keeps its place on the ground by an arc about mid-stance. The swing height is the
-amplitude a of the feet's z over the ground, z = z₀ + a (z − z₀). In a curve other than the motion's own the body leans,
-so that weight and centripetal force meet between the feet. Without modulation the reference is the motion itself.
+Samples are interpolated: after haste the place lies between two of them.
 """
 
 from typing import Any, Final
@@ -11,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array, Records
-from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy
 from fastmimic.robot import Robot
@@ -24,10 +20,7 @@ PLACE: Final = record_dtype(
 the next course at row `entry`; −1 for never. `left` and `synced` say whether the last step did so or started a cycle.
 `jump` is the sum of the distances moved by synchronisation, m."""
 
-MODULATION: Final = record_dtype(floats(speed=(), turn=(), lift=(), speed_rate=()))
-"""Factor on the phase's rate, added turn rate, rad/s, factor on the swing height, rate of change of the first, 1/s."""
-
-_WORK: Final = record_dtype(floats(dt=(), geometry=(4, 12), lower=12, upper=12, feet=(3, 4, 3), joints=(3, 12), tilt=4))
+WORK: Final = record_dtype(floats(dt=(), geometry=(4, 12), lower=12, upper=12, feet=(3, 4, 3), joints=(3, 12), tilt=4))
 """The control step, s, the robot's legs and joint limits, rad, and work memory."""
 
 
@@ -38,60 +31,53 @@ def make_place() -> Records:
     return place
 
 
+def make_work(robot: Robot, dt: float) -> Records:
+    """Work memory (1,) of `WORK` for a robot and a control step of `dt` s."""
+    work = np.zeros(1, WORK)
+    work["dt"], work["geometry"] = dt, robot.geometry
+    work["lower"], work["upper"] = robot.joint_lower, robot.joint_upper
+    return work
+
+
 class Stream:
     """Fills tables of one robot's reference. Not thread-safe."""
 
     def __init__(self, robot: Robot, rate_hz: float) -> None:
         self._dt = 1.0 / rate_hz
-        self._work = np.zeros(1, _WORK)
-        self._work["dt"], self._work["geometry"] = self._dt, robot.geometry
-        self._work["lower"], self._work["upper"] = robot.joint_lower, robot.joint_upper
+        self._work = make_work(robot, self._dt)
         self._scratch = make_place()
 
     def advance(
-        self,
-        course: Records,
-        following: Records | None,
-        place: Records,
-        modulation: Records,
-        root_xy: Array,
-        haste: float = 0.0,
+        self, course: Records, following: Records | None, place: Records, root_xy: Array, haste: float = 0.0
     ) -> None:
         """Advances `place` by one control step in `course` (t,) of `COURSE` and the `following` one. At the start of a
         cycle x and y are synchronised to the robot's position `root_xy` (2,), m. With the controller's `haste` the feet
         advance by so much more, and the root goes on at its own pace."""
         other = course if following is None else following
-        _advance(course, other, place[0], modulation[0], self._dt, 1.0 + max(haste, 0.0), True, root_xy[0], root_xy[1])
+        _advance(course, other, place[0], 1.0 + max(haste, 0.0), True, root_xy[0], root_xy[1])
 
-    def fill(
-        self, course: Records, following: Records | None, place: Records, modulation: Records, table: Records
-    ) -> None:
+    def fill(self, course: Records, following: Records | None, place: Records, table: Records) -> None:
         """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame."""
         other = course if following is None else following
         self._scratch[0] = place[0]
-        _fill(course, other, self._scratch[0], modulation[0], self._work[0], table)
+        _fill(course, other, self._scratch[0], self._work[0], table)
 
 
 @kernel
-def _advance(
-    course: Any, following: Any, place: Any, modulation: Any, dt: float, tempo: float, follow: bool, x: float, y: float
-) -> None:
+def _advance(course: Any, following: Any, place: Any, tempo: float, follow: bool, x: float, y: float) -> None:
     """Advances by one control step, sample by sample, so that exits and starts of cycles are met exactly."""
     place.left, place.synced = 0, 0
-    remaining, whole = tempo * modulation.speed, tempo * modulation.speed
+    remaining = tempo
     pose = place.pose
-    turned = modulation.turn * dt
     while remaining > 0.0:
         here = course if place.left == 0 else following
         i = int(place.position)
         share = min(i + 1.0 - place.position, remaining)
-        part = share / whole * turned
         moved = share / tempo
-        # the chord of the bent path points to its middle heading
-        c, s = np.cos(pose[2] + 0.5 * part), np.sin(pose[2] + 0.5 * part)
+        c, s = np.cos(pose[2]), np.sin(pose[2])
         pose[0] += moved * (c * here[i].step[0] - s * here[i].step[1])
         pose[1] += moved * (s * here[i].step[0] + c * here[i].step[1])
-        pose[2] += moved * here[i].turn + part
+        pose[2] += moved * here[i].turn
         remaining -= share
         place.position += share
         if place.position < i + 1.0 - 1e-9:
@@ -109,7 +95,7 @@ def _advance(
 
 
 @kernel
-def _fill(course: Any, following: Any, place: Any, modulation: Any, work: Any, table: Any) -> None:
+def _fill(course: Any, following: Any, place: Any, work: Any, table: Any) -> None:
     x0, y0, yaw0 = place.pose[0], place.pose[1], place.pose[2]
     co, so = np.cos(yaw0), np.sin(yaw0)
     beyond = False
@@ -118,15 +104,15 @@ def _fill(course: Any, following: Any, place: Any, modulation: Any, work: Any, t
             here = following if beyond else course
             if beyond:
                 place.exit = -1
-            _advance(here, following, place, modulation, work.dt, 1.0, False, 0.0, 0.0)
+            _advance(here, following, place, 1.0, False, 0.0, 0.0)
             beyond = beyond or place.left == 1
         dx, dy = place.pose[0] - x0, place.pose[1] - y0
         here = following if beyond else course
         exit_row = -1 if beyond or place.position > place.exit else place.exit
-        _sample(here, following, exit_row, place.entry, place.position, modulation, k == 0, work, table[k])
+        _sample(here, following, exit_row, place.entry, place.position, k == 0, work, table[k])
         if k == 0:  # planning ahead needs only forces and feet
-            _joints(work, table[k])
-        _place(co * dx + so * dy, -so * dx + co * dy, place.pose[2] - yaw0, table[k])
+            put_joints(work, table[k])
+        put_at(co * dx + so * dy, -so * dx + co * dy, place.pose[2] - yaw0, table[k])
         table[k].sync = place.synced if k > 0 else 0
 
 
@@ -139,35 +125,17 @@ def _row(course: Any, following: Any, exit_row: int, entry: int, i: int) -> Any:
 
 
 @kernel
-def _feet(course: Any, following: Any, exit_row: int, entry: int, position: float, modulation: Any, out: Array) -> None:
-    """Modulated feet (4, 3) at a position, heading frame of the root; cubic interpolation."""
+def _feet(course: Any, following: Any, exit_row: int, entry: int, position: float, out: Array) -> None:
+    """Feet (4, 3) at a position, heading frame of the root; cubic interpolation."""
     i = int(np.floor(position))
     u = position - i
     a = _row(course, following, exit_row, entry, i - 1)
     b = _row(course, following, exit_row, entry, i)
     c = _row(course, following, exit_row, entry, i + 1)
     d = _row(course, following, exit_row, entry, i + 2)
-    turn, speed = modulation.turn, modulation.speed
-    vx, vy = b.travel[0] + u * (c.travel[0] - b.travel[0]), b.travel[1] + u * (c.travel[1] - b.travel[1])
-    own = b.travel[2] + u * (c.travel[2] - b.travel[2])
-    curve = speed * (speed * own + turn) - own  # times v: the acceleration beyond the motion's own
-    height = b.root_z / GRAVITY
-    vx, vy = speed * vx, speed * vy
-    lean_x, lean_y = -height * curve / speed * vy, height * curve / speed * vx
     for leg in range(4):
         for k in range(3):
             out[leg, k] = _cubic(a.foot[leg, k], b.foot[leg, k], c.foot[leg, k], d.foot[leg, k], u)
-        if modulation.lift != 1.0:
-            lift = _cubic(a.lift[leg], b.lift[leg], c.lift[leg], d.lift[leg], u)
-            out[leg, 2] += (modulation.lift - 1.0) * lift
-        if turn != 0.0:
-            since = (b.since_middle[leg] + u * (c.since_middle[leg] - b.since_middle[leg])) / speed
-            bend = 0.5 * turn * since * since
-            fx, fy = out[leg, 0] + bend * vy, out[leg, 1] - bend * vx
-            cs, sn = np.cos(turn * since), np.sin(turn * since)
-            out[leg, 0], out[leg, 1] = cs * fx + sn * fy, -sn * fx + cs * fy
-        out[leg, 0] -= lean_x
-        out[leg, 1] -= lean_y
 
 
 @inlined
@@ -200,7 +168,6 @@ def _sample(
     exit_row: int,
     entry: int,
     position: float,
-    modulation: Any,
     neighbours: bool,
     work: Any,
     out: Any,
@@ -211,42 +178,37 @@ def _sample(
     u = position - i
     b = _row(course, following, exit_row, entry, i)
     c = _row(course, following, exit_row, entry, i + 1)
-    speed, turn = modulation.speed, modulation.turn
     out.root_pos[0], out.root_pos[1] = 0.0, 0.0
     out.root_pos[2] = b.root_z + u * (c.root_z - b.root_z)
     _blend(b.tilt, c.tilt, u, out.root_quat)
     for k in range(3):
-        out.lin_vel[k] = speed * (b.lin_vel[k] + u * (c.lin_vel[k] - b.lin_vel[k]))
-        out.ang_vel[k] = speed * (b.ang_vel[k] + u * (c.ang_vel[k] - b.ang_vel[k]))
-        out.lin_acc[k] = speed * speed * (b.lin_acc[k] + u * (c.lin_acc[k] - b.lin_acc[k]))
-        out.ang_acc[k] = speed * speed * (b.ang_acc[k] + u * (c.ang_acc[k] - b.ang_acc[k]))
-        out.leg_lin_acc[k] = speed * speed * (b.leg_lin_acc[k] + u * (c.leg_lin_acc[k] - b.leg_lin_acc[k]))
-        out.leg_ang_acc[k] = speed * speed * (b.leg_ang_acc[k] + u * (c.leg_ang_acc[k] - b.leg_ang_acc[k]))
-        out.lin_acc[k] += modulation.speed_rate / speed * out.lin_vel[k]
+        out.lin_vel[k] = b.lin_vel[k] + u * (c.lin_vel[k] - b.lin_vel[k])
+        out.ang_vel[k] = b.ang_vel[k] + u * (c.ang_vel[k] - b.ang_vel[k])
+        out.lin_acc[k] = b.lin_acc[k] + u * (c.lin_acc[k] - b.lin_acc[k])
+        out.ang_acc[k] = b.ang_acc[k] + u * (c.ang_acc[k] - b.ang_acc[k])
+        out.leg_lin_acc[k] = b.leg_lin_acc[k] + u * (c.leg_lin_acc[k] - b.leg_lin_acc[k])
+        out.leg_ang_acc[k] = b.leg_ang_acc[k] + u * (c.leg_ang_acc[k] - b.leg_ang_acc[k])
     out.gain = b.gain
-    out.ang_vel[2] += turn
-    out.lin_acc[0] -= turn * out.lin_vel[1]
-    out.lin_acc[1] += turn * out.lin_vel[0]
     for leg in range(4):
         out.contact[leg] = b.contact[leg]
     for k in range(3):
         if k != 1 and not neighbours:
             continue
-        at = position + (k - 1) * speed
-        _feet(course, following, exit_row, entry, at, modulation, work.feet[k])
+        at = position + (k - 1)
+        _feet(course, following, exit_row, entry, at, work.feet[k])
         low = int(np.floor(at))
         v = at - low
         p = _row(course, following, exit_row, entry, low)
         q = _row(course, following, exit_row, entry, low + 1)
         z = p.root_z + v * (q.root_z - p.root_z)
         for leg in range(4):
-            _to_body(p.tilt, q.tilt, v, z, work.tilt, work.feet[k, leg])
+            to_body(p.tilt, q.tilt, v, z, work.tilt, work.feet[k, leg])
     for leg in range(4):
         copy(work.feet[1, leg], out.foot_pos[leg])
 
 
 @inlined
-def _to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: Array) -> None:
+def to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: Array) -> None:
     """A foot (3,) from the root's heading frame (z from the ground) to its body frame; `q` (4,) is work memory."""
     _blend(tilt, later, share, q)
     w, a, b, c = q[0], -q[1], -q[2], -q[3]
@@ -258,7 +220,7 @@ def _to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: 
 
 
 @kernel
-def _joints(work: Any, out: Any) -> None:
+def put_joints(work: Any, out: Any) -> None:
     """Joints by inverse kinematics; their velocity and acceleration by central differences."""
     dt = work.dt
     for k in range(3):
@@ -277,7 +239,7 @@ def _joints(work: Any, out: Any) -> None:
 
 
 @inlined
-def _place(x: float, y: float, yaw: float, out: Any) -> None:
+def put_at(x: float, y: float, yaw: float, out: Any) -> None:
     """Moves one row of the table from its root's heading frame to (x, y, yaw)."""
     if yaw == 0.0 and x == 0.0 and y == 0.0:
         return

@@ -1,0 +1,1 @@
+"""Steering: a robot that goes where a velocity command points."""

@@ -1,0 +1,153 @@
+"""A field of gaits: one built-in gait at many velocities, each made executable, to be interpolated between.
+
+The gaits differ in their velocity alone: at equal phase the same feet stand. So any mixture of neighbours is a gait
+again, at the velocity between theirs, and the velocity can change in every control step. The axes of the grid are the
+velocities forwards and to the left and the turn rate. The greatest turn rate depends on the forward velocity, as the
+ground has to give their product as centripetal acceleration.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import MotionError
+from fastmimic.clips.synthesis import GAITS, keypoints
+from fastmimic.episode.loop import share_of_falls
+from fastmimic.executors import Report
+from fastmimic.executors.local import LocalExecutor
+from fastmimic.motion.motion import Motion
+from fastmimic.reference.course import COURSE, course_of
+from fastmimic.reference.regulator import GAINS, motion_gains
+from fastmimic.reference.regulator_config import RegulatorConfig
+from fastmimic.reference.standing import standing
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.robot import Robot, load_robot
+from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.executable import nearest_executable
+from fastmimic.trajectory.solved import Remembered
+
+RATE_HZ: Final = 500.0
+_GAIT: Final = dataclasses.replace(GAITS["trot"], duty=0.55, half_width=0.04, lift=0.09)
+_SHARES: Final = (1.0, 0.8, 0.6, 0.4)  # of a velocity that are tried
+_KEPT: Final = (
+    TrajectoryConfig(keep_time=True, keep_speed=True),
+    TrajectoryConfig(keep_speed=True),
+    TrajectoryConfig(keep_time=True),
+)
+_SAME_CONTACT: Final = 0.97  # share of a gait's contacts that stay
+_A1_LEG_M: Final = 0.4
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Velocities of the gaits at the A1's size: forwards and to the left, m/s, both ascending, and for each forward one
+    the greatest turn rate to either side, rad/s."""
+
+    forwards: tuple[float, ...] = (-0.5, 0.0, 0.5, 1.0, 1.5)
+    sideways: tuple[float, ...] = (-0.4, 0.0, 0.4)
+    turning: tuple[float, ...] = (2.0, 2.0, 2.0, 1.5, 0.9)
+
+    def velocities(self) -> list[tuple[float, float, float]]:
+        """Those of all gaits (k = a · b · 3): turning to the right, not, and to the left."""
+        pairs = zip(self.forwards, self.turning, strict=True)
+        return [(x, y, side * most) for (x, most), y, side in product(pairs, self.sideways, (-1.0, 0.0, 1.0))]
+
+
+@dataclass(frozen=True, eq=False)
+class GaitField:
+    """The gaits of one robot, at `RATE_HZ` control steps a second. The grid's axes are `forwards` (a,) and `sideways`
+    (b,), m/s, and turn rates to the right, none, and to the left, of `turning` (a,), rad/s. `rows` (k + 1, t) of
+    `COURSE` are one period of each gait in the order of the axes, and last of standing; `gains` (k + 1, g) of `GAINS`
+    are theirs, one for each `GAIN_SAMPLES` rows."""
+
+    robot: Robot
+    forwards: Array
+    sideways: Array
+    turning: Array
+    rows: NDArray[Any]
+    gains: NDArray[Any]
+
+    def nearest(self, velocity: Array) -> Array:
+        """The velocity (3,) of the field that is nearest to one: forwards, to the left, m/s, and turning, rad/s."""
+        forwards = np.clip(velocity[0], self.forwards[0], self.forwards[-1])
+        sideways = np.clip(velocity[1], self.sideways[0], self.sideways[-1])
+        most = np.interp(forwards, self.forwards, self.turning)
+        return np.array([forwards, sideways, np.clip(velocity[2], -most, most)])
+
+
+def gait_field(
+    source: str,
+    progress: Callable[[int, int], None] = lambda done, count: None,
+    *,
+    grid: Grid | None = None,
+    workers: int | None = 1,
+) -> GaitField:
+    """The field of a robot, whose name or file is `source`. It is made once, in a minute or two, and kept in the user's
+    cache folder; `progress` is told how many of the gaits are done, and of how many. `workers` processes make it, as
+    many as there are cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises
+    `MotionError` if there is no executable motion near a gait."""
+    robot, grid = load_robot(source), grid if grid is not None else Grid()
+    size = robot.leg_length / _A1_LEG_M
+    forwards, sideways, turning = size * np.array(grid.forwards), size * np.array(grid.sideways), np.array(grid.turning)
+    known = Remembered(repr(("gait field", robot, _GAIT)), [forwards, sideways, turning], outcome=True)
+    found = known.read()
+    if found is None:
+        found = _made(source, robot, grid, progress, LocalExecutor(workers))
+        known.keep(found)
+    rows, gains = (found[name].view(kind)[..., 0] for name, kind in (("rows", COURSE), ("gains", GAINS)))
+    return GaitField(robot, forwards, sideways, turning, rows, gains)
+
+
+def _made(
+    source: str, robot: Robot, grid: Grid, progress: Callable[[int, int], None], executor: LocalExecutor
+) -> dict[str, Array]:
+    """Rows and gains of all gaits, as bytes."""
+    jobs = [(source, velocity) for velocity in grid.velocities()]
+    made: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
+    for outcome in executor.run(make_gait, jobs):
+        if outcome.error is not None:
+            raise outcome.error
+        made[outcome.index] = outcome.result
+        progress(len(made), len(jobs))
+    rows, gains = ([made[index][part] for index in range(len(jobs))] for part in (0, 1))
+    stand = standing(robot)
+    rows.append(np.repeat(course_of(stand, robot)[:1], len(rows[0])))
+    gains.append(np.repeat(motion_gains(stand, robot, RegulatorConfig())[:1], len(gains[0])))
+    return {name: np.stack(each)[..., None].view("u1") for name, each in (("rows", rows), ("gains", gains))}
+
+
+def make_gait(
+    job: tuple[str, tuple[float, float, float]], report: Report = lambda share: None
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The rows (t,) of `COURSE` and gains (g,) of `GAINS` of a robot's gait at a velocity; if there is none, those of a
+    slower one."""
+    source, wanted = job
+    robot = load_robot(source)
+    for share in _SHARES:
+        velocity = [share * each for each in wanted]
+        spec = dataclasses.replace(_GAIT, speed=velocity[0], lateral_speed=velocity[1], yaw_rate=velocity[2])
+        clip = keypoints(spec, {"name": "gait at {:g} m/s, {:g} m/s to the left, {:g} rad/s".format(*velocity)})
+        animal, _ = retarget(clip, robot, executable=False)
+        motion = _executable(robot, animal)
+        if motion is not None:
+            return course_of(motion, robot), motion_gains(motion, robot, RegulatorConfig())
+    raise MotionError(f"{robot.name} cannot be steered: it has no {clip.meta['name']}")
+
+
+def _executable(robot: Robot, animal: Motion) -> Motion | None:
+    """The nearest executable motion with the gait's own contacts, with which the robot does not fall."""
+    for config in _KEPT:
+        try:
+            motion = nearest_executable(robot, animal, config).motion
+        except MotionError:
+            continue
+        own = motion.n_samples == animal.n_samples and np.mean(motion.contact == animal.contact) >= _SAME_CONTACT
+        if own and share_of_falls(robot, motion) == 0.0:
+            return motion
+    return None

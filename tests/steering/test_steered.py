@@ -1,0 +1,99 @@
+"""The steered reference by itself: it goes where it is told, its feet do not slide, and it stands when it may."""
+
+import numpy as np
+import pytest
+
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, rotate_planar
+from fastmimic.reference.table import SAMPLE
+from fastmimic.steering.gait_field import RATE_HZ, GaitField
+from fastmimic.steering.steered import Steered
+
+DT = 1.0 / RATE_HZ
+
+
+def run(steered: Steered, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (t,) of `SAMPLE`, poses (t, 3), and feet (t, 4, 3) in the world, for a robot that is where it should be."""
+    table, rows, poses = np.zeros(2, SAMPLE), [], []
+    for _ in range(round(seconds * RATE_HZ)):
+        steered.fill(table)
+        rows.append(table[0].copy())
+        poses.append(steered.place["pose"][0].copy())
+        steered.advance(poses[-1][:2] + rotate_planar(poses[-1][2], table[1]["root_pos"][:2]))
+    found, pose = np.array(rows, SAMPLE), np.array(poses)
+    quat = quat_multiply(quat_from_yaw(pose[:, 2]), found["root_quat"])
+    root = np.column_stack([pose[:, :2], found["root_pos"][:, 2]])
+    return found, pose, root[:, None] + quat_rotate(quat[:, None], found["foot_pos"])
+
+
+@pytest.mark.parametrize("velocity", [(0.5, 0.0, 0.0), (0.0, 0.2, 0.0), (0.3, -0.1, 0.8), (0.6, 0.2, -1.0)])
+def test_it_goes_where_it_is_told_and_its_feet_do_not_slide(
+    gaits: GaitField, velocity: tuple[float, float, float]
+) -> None:
+    steered = Steered(gaits)
+    steered.steer(np.array(velocity))
+    rows, poses, feet = run(steered, 4.0)
+    period = gaits.rows.shape[1]
+    np.testing.assert_allclose(steered.velocity, velocity, atol=0.01)
+    one, other = poses[-1 - 2 * period], poses[-1]
+    turned = (other[2] - one[2]) / (2 * period * DT)
+    assert turned == pytest.approx(velocity[2], abs=0.03)
+    moved = np.mean([rotate_planar(-a[2], b[:2] - a[:2]) for a, b in zip(poses[-500:-1], poses[-499:], strict=True)], 0)
+    np.testing.assert_allclose(moved / DT, velocity[:2], atol=0.06)
+
+    stands = (rows["contact"][:-1] == 1) & (rows["contact"][1:] == 1)
+    slid = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1)
+    assert slid[stands].max() < 1e-6
+    speed = np.abs(np.diff(rows["joint_pos"], axis=0)).max() / DT
+    assert speed < 1.2 * gaits.robot.joint_speed_limit.max()
+
+
+def test_it_stands_when_nothing_is_wanted_and_starts_again(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    rows, poses, _ = run(steered, 0.5)
+    assert (rows["contact"] == 1).all()
+    assert np.abs(poses).max() < 1e-9
+    assert steered.state == "standing"
+    steered.steer(np.array([0.6, 0.0, 0.0]))
+    run(steered, 2.0)
+    assert steered.state != "standing"
+    steered.steer(np.zeros(3))
+    rows, poses, _ = run(steered, 3.0)
+    assert steered.state == "standing"
+    assert (rows["contact"][-200:] == 1).all()
+    assert np.abs(rows["joint_vel"][-1]).max() < 0.01
+    assert poses[-1, 0] == pytest.approx(poses[-200, 0], abs=2e-3)
+
+
+def test_a_table_ahead_holds_what_comes(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    steered.steer(np.array([0.5, 0.1, 0.5]))
+    run(steered, 1.234)
+    ahead = np.zeros(40, SAMPLE)
+    steered.fill(ahead)
+    begins = steered.place["pose"][0].copy()
+    rows, poses, _ = run(steered, 40 * DT)
+    np.testing.assert_array_equal(ahead["contact"], rows["contact"])
+    np.testing.assert_allclose(ahead["foot_pos"], rows["foot_pos"], atol=1e-12)
+    np.testing.assert_allclose(
+        ahead["root_pos"][:, :2], rotate_planar(-begins[2], poses[:, :2] - begins[:2]), atol=1e-12
+    )
+
+
+def test_what_is_beyond_the_gaits_becomes_the_nearest(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    taken = steered.steer(np.array([9.0, -9.0, 9.0]))
+    np.testing.assert_allclose(taken, [gaits.forwards[-1], gaits.sideways[0], gaits.turning[-1]])
+    for wrong in (np.array([0.0, np.nan, 0.0]), np.zeros(2)):
+        with pytest.raises(ConfigError, match="three numbers"):
+            steered.steer(wrong)
+
+
+def test_x_and_y_follow_the_robot_once_a_cycle(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    steered.steer(np.array([0.5, 0.0, 0.0]))
+    run(steered, 1.0)
+    for _ in range(gaits.rows.shape[1]):
+        steered.advance(np.array([7.0, 8.0]))
+    assert np.hypot(*(steered.place["pose"][0, :2] - [7.0, 8.0])) < 0.4
+    assert steered.place["jump"][0] > 5.0
