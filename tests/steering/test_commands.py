@@ -53,6 +53,7 @@ def test_the_newest_message_counts_and_silence_stops(monkeypatch: pytest.MonkeyP
         silent = receiver.velocity()
         assert silent is not None
         assert not silent.any()
+        assert receiver.velocity() is None  # others may steer
     finally:
         sender.close()
         receiver.close()

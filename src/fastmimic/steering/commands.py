@@ -38,8 +38,8 @@ class CommandSocket:
         self._socket.close()
 
     def velocity(self) -> Array | None:
-        """The newest velocity (3,), forwards, to the left, m/s, turning to the left, rad/s: zero once none has come for
-        `LOST_S`; None if none ever came."""
+        """The newest velocity (3,), forwards, to the left, m/s, turning to the left, rad/s; zero, once, when none has
+        come for `LOST_S`; None while none comes: others may steer."""
         while True:
             try:
                 message = self._socket.recv(_MOST_BYTES)
@@ -52,7 +52,9 @@ class CommandSocket:
                 self._last, self._at = found, time.monotonic()
         if self._at == -math.inf:
             return None
-        return self._last if time.monotonic() - self._at <= LOST_S else np.zeros(3)
+        if time.monotonic() - self._at > LOST_S:
+            self._last, self._at = np.zeros(3), -math.inf
+        return self._last
 
 
 def read_twist(message: bytes) -> Array | None:
