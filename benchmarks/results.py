@@ -1,11 +1,11 @@
-"""The README's table: every listed motion on the A1, before and after optimisation, one configuration for all.
+"""The table of docs/results.md: every listed motion on the A1, before and after optimisation, one configuration.
 
     python benchmarks/results.py [--motions dog:pace trot …] [--out runs/results] [--iterations 200] [--write]
 
 For each motion: optimise with the defaults (5 s episodes), then score demonstration and optimised motion over 10 s,
 against the animal's kinematic motion and against the executable one.
 
-Finished motions are kept in `--out` and not run again. `--write` puts the table between the markers in README.md.
+Finished motions are kept in `--out` and not run again. `--write` puts the table between the markers in docs/results.md.
 Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA.
 """
 
@@ -35,7 +35,7 @@ REPORTED = (
     "spin",
 )
 DURATION_S = 10.0
-README = Path(__file__).resolve().parent.parent / "README.md"
+PAGE = Path(__file__).resolve().parent.parent / "docs/results.md"
 
 
 def run(name: str, iterations: int, out: Path) -> dict[str, Any]:
@@ -104,13 +104,13 @@ def main() -> None:
     parser.add_argument("--motions", nargs="*", default=[*CLAIMED, *REPORTED])
     parser.add_argument("--out", type=Path, default=Path("runs/results"))
     parser.add_argument("--iterations", type=int, default=200)
-    parser.add_argument("--write", action="store_true", help="put the table into README.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/results.md")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     text = table([run(name, args.iterations, args.out) for name in args.motions])
     print(text)
     if args.write:
-        put(README, "results", text)
+        put(PAGE, "results", text)
 
 
 if __name__ == "__main__":

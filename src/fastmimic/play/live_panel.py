@@ -29,11 +29,7 @@ _MAX_PAYLOAD_KG: Final = 6.0
 _THERE_RGB: Final = "#1a7f37"
 _ON_THE_WAY_RGB: Final = "#9a6700"
 _TROUBLE_RGB: Final = "#b03060"
-_VELOCITY: Final = {
-    "forwards, m/s": (-0.5, 1.5),
-    "to the left, m/s": (-0.4, 0.4),
-    "turn to the left, rad/s": (-2.0, 2.0),
-}  # sliders of a steered robot
+_VELOCITY: Final = ("forwards, m/s", "to the left, m/s", "turn to the left, rad/s")  # sliders of a steered robot
 _STICK: Final = "steer"  # first word of the stick's field, which identifies it
 IDLE: Final = f"{_STICK} +0.00 +0.00 +0.00"
 _HIDDEN: Final = ("ghost", "names")  # at first; the ghost of a good follower is inside the robot
@@ -52,8 +48,9 @@ class PlayPanel(Panel):
         self._pause = gui.add_button("Pause")
         self._pause.on_click(lambda _event: self._toggle())
         self._sliders: dict[str, Any] = {}
-        if self._session.steered:
-            self._add_velocity()
+        reference = self._session.reference
+        if isinstance(reference, Steered):
+            self._add_velocity(reference)
         else:
             motions = gui.add_button_group("motion", self._session.library.names)
             motions.on_click(lambda _event: self._do(lambda: self._session.switch(str(motions.value))))
@@ -114,10 +111,13 @@ class PlayPanel(Panel):
             except FastMimicError as error:
                 self._mistake = str(error)
 
-    def _add_velocity(self) -> None:
+    def _add_velocity(self, reference: Steered) -> None:
         """Sliders of the velocity, which keys and stick add to."""
-        for name, (low, high) in _VELOCITY.items():
-            self._sliders[name] = self._gui.add_slider(name, low, high, 0.05, 0.0)
+        field = reference.field
+        turning = float(field.turning.max())
+        ends = ((field.forwards[0], field.forwards[-1]), (field.sideways[0], field.sideways[-1]), (-turning, turning))
+        for name, (least, most) in zip(_VELOCITY, ends, strict=True):
+            self._sliders[name] = self._gui.add_slider(name, round(least, 2), round(most, 2), 0.05, 0.0)
             self._sliders[name].on_update(lambda _event: self._steer())
         stop = self._gui.add_button("Stop", hint="stand")
 
@@ -132,9 +132,9 @@ class PlayPanel(Panel):
         if not self._session.steered:
             return
         left, on, aside = self._steering
-        sticks = zip(self._sliders.values(), _VELOCITY.values(), (on, aside, left), strict=True)
         velocity = [
-            float(slider.value) + stick * (high if stick > 0 else -low) for slider, (low, high), stick in sticks
+            float(slider.value) + stick * float(slider.max if stick > 0 else -slider.min)
+            for slider, stick in zip(self._sliders.values(), (on, aside, left), strict=True)
         ]
         self._do(lambda: self._session.steer(velocity))
 
