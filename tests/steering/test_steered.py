@@ -42,8 +42,11 @@ def test_it_goes_where_it_is_told_and_its_feet_do_not_slide(
     np.testing.assert_allclose(moved / DT, velocity[:2], atol=0.06)
 
     stands = (rows["contact"][:-1] == 1) & (rows["contact"][1:] == 1)
-    slid = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1)
-    assert slid[stands].max() < 1e-6
+    slid = rotate_planar(-poses[:-1, 2, None], np.diff(feet[..., :2], axis=0))
+    legs = rows["joint_pos"].reshape(-1, 4, 3)
+    pitch = legs[..., 1] + legs[..., 2] + 2.0 * rows["root_quat"][:, 2, None]
+    slid[..., 0] -= gaits.robot.foot_radius * np.diff(pitch, axis=0)  # as a ball rolls
+    assert np.abs(slid[stands]).max() < 2e-4  # of 2e-3 that the trunk moves
     speed = np.abs(np.diff(rows["joint_pos"], axis=0)).max() / DT
     assert speed < 1.2 * gaits.robot.joint_speed_limit.max()
 

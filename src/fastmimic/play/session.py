@@ -316,6 +316,8 @@ class LiveSession:
         if self.controller.config.stance.feedback == "regulator":
             self.controller.gains = self.reference.gains[None]
             self.controller.recover_with(self.reference.demonstration)
+        if self.steered:  # in haste, too, its feet that stand keep their places
+            self.controller.memory["lag"] = 0.0
         commands = self.controller.step(self._seen, self._clock)
         self._control_s.append(time.perf_counter() - began)
         observer = self._observer

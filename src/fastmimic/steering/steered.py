@@ -1,9 +1,10 @@
 """The reference of a steered robot: gaits of a field mixed by the velocity, step by step.
 
-A foot that stands keeps its place in the world, whatever the trunk does. One that swings leaves from there and comes
-to where the present mixture of gaits has it; while the robot accelerates, a little against that (the lean of an
-inverted pendulum). So the velocity can change at any moment, and no foot slides. The wanted velocity is approached with
-bounded acceleration and jerk. If none is wanted, the robot stands as soon as all feet are on the ground.
+A foot that stands keeps its place in the world, whatever the trunk does, but for rolling as its ball does. One that
+swings leaves from there and comes to where the present mixture of gaits has it; while the robot accelerates, a little
+against that (the lean of an inverted pendulum). So the velocity can change at any moment, and no foot slides. The
+wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands as soon as all
+feet are on the ground.
 """
 
 from typing import Any, Final
@@ -15,6 +16,7 @@ from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
+from fastmimic.base.rotations import rotate_planar
 from fastmimic.base.vectors import copy
 from fastmimic.reference.stream import make_work, put_at, put_joints, to_body
 from fastmimic.reference.table import GAIN_SAMPLES
@@ -47,8 +49,8 @@ _COLUMNS: Final = {
     **{"step": 2, "turn": 1, "root_z": 1, "tilt": 4, "lin_vel": 3, "ang_vel": 3, "lin_acc": 3, "ang_acc": 3},
     **{"leg_lin_acc": 3, "leg_ang_acc": 3, "foot": 12},
 }  # of `COURSE`, which are mixed
-_WIDTH: Final = sum(_COLUMNS.values())
-_TURN, _HEIGHT, _TILT, _MOTION, _FOOT = 2, 3, slice(4, 8), 8, 26
+_WIDTH: Final = sum(_COLUMNS.values()) + 8  # and how far each foot that stands rolls on the ground in a row
+_TURN, _HEIGHT, _TILT, _MOTION, _FOOT, _ROLL = 2, 3, slice(4, 8), 8, 26, 38
 
 _MIXTURE: Final = record_dtype([*floats(weight=9, values=_WIDTH, tilt=4), *integers(gait=9)])
 
@@ -64,7 +66,7 @@ class Steered:
     def __init__(self, field: GaitField) -> None:
         n_gaits, n = field.rows.shape
         columns = [field.rows[name].reshape(n_gaits, n, -1) for name in _COLUMNS]
-        values = np.concatenate(columns, axis=-1)
+        values = np.concatenate([*columns, _rolls(field.rows)], axis=-1)
         tilt = values[..., _TILT]
         tilt *= np.where(np.sum(tilt * tilt[-1, 0], axis=-1, keepdims=True) < 0, -1.0, 1.0)
         contact = np.ascontiguousarray(field.rows["contact"][n_gaits // 2 - 1])  # of the gait in the field's middle
@@ -125,6 +127,15 @@ class Steered:
         not is the same."""
         self._scratch[0] = self.place[0]
         _fill(*self._given, self._scratch[0], *self._work, rows)
+
+
+def _rolls(rows: NDArray[Any]) -> Array:
+    """How far each foot that stands moves on the ground until the next row, as a ball does, (k, t, 8), m."""
+    feet, stands = rows["foot"][..., :2], rows["contact"][..., None] != 0
+    after = rotate_planar(rows["turn"][..., None], np.roll(feet, -1, axis=1)) + rows["step"][:, :, None]
+    rolls = (after - feet) * (stands & np.roll(stands, -1, axis=1))
+    rolls[-1] = 0.0  # who stands does not roll
+    return np.asarray(rolls.reshape(*rows.shape, 8))
 
 
 def _rows_until(contact: NDArray[Any], row: int) -> int:
@@ -252,6 +263,11 @@ def _advance(
         x = s.stands * dt / _CENTRED_S * 0.25 * s.away[:, 0].sum()
         y = s.stands * dt / _CENTRED_S * 0.25 * s.away[:, 1].sum()
     cos, sin = np.cos(s.pose[2] + 0.5 * turn), np.sin(s.pose[2] + 0.5 * turn)
+    if s.stands == 0.0:
+        for leg in range(4):
+            dx, dy = tempo * mixture.values[_ROLL + 2 * leg], tempo * mixture.values[_ROLL + 2 * leg + 1]
+            s.foothold[leg, 0] += cos * dx - sin * dy
+            s.foothold[leg, 1] += sin * dx + cos * dy
     s.pose[0] += cos * x - sin * y
     s.pose[1] += sin * x + cos * y
     s.pose[2] += turn
