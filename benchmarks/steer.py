@@ -20,6 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.steering.gait_field import GaitField, gait_field
@@ -137,14 +138,17 @@ def main() -> None:
     parser.add_argument("robots", nargs="*", default=["a1", "go2"])
     parser.add_argument("--minutes", type=float, default=30.0, help="of each case")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--gait", help="one period of an animal, by name or file"
+    )
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     rows = []
     for robot in given.robots:
-        gaits = gait_field(robot, workers=None)
+        gaits = gait_field(robot, None if given.gait is None else open_clip(given.gait), workers=None)
         for name, case in CASES.items():
             found = run(gaits, 60.0 * given.minutes, given.seed, **case)
-            rows.append({"robot": gaits.robot.name, "case": name, **found})
+            rows.append({"robot": gaits.robot.name, "gait": given.gait or "built-in", "case": name, **found})
             print(json.dumps(rows[-1]), flush=True)
     if given.json is not None:
         given.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n")

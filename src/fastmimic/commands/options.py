@@ -295,12 +295,15 @@ def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
     return load_robot(robot_name(robot, *sources))
 
 
-def gaits_of(robot: str | None) -> "GaitField":
-    """The gaits with which a robot is steered; says how far it is when they are made."""
+def gaits_of(robot: str | None, gait: str | None = None) -> "GaitField":
+    """The gaits with which a robot is steered, those of an animal if one is named; says how far it is when they are
+    made."""
     from fastmimic.steering.gait_field import gait_field
 
+    name = robot or DEFAULT_ROBOT
+    clip = None if gait is None else find_motion(gait).open_clip(load_robot(name))
     with count_progress("gaits made executable, once for this robot:") as progress:
-        return gait_field(robot or DEFAULT_ROBOT, progress, workers=None)
+        return gait_field(name, clip, progress, workers=None)
 
 
 def robot_name(robot: str | None, *sources: MotionSource) -> str:

@@ -29,8 +29,9 @@ class Play:
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
     """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
-    built-in gaits. "stand" and "in-place" are always available. "steer" alone: the robot goes where keys, stick or
-    sliders point, forwards, sideways and turning, and stands when they are let go."""
+    built-in gaits. "stand" and "in-place" are always available. "steer": the robot goes where keys, stick or sliders
+    point, forwards, sideways and turning, and stands when they are let go; with the gait of one period of an animal, by
+    name or file, or else a built-in trot."""
     robot: opt.RobotChoice = None
     port: opt.Port = 8080
     udp: Annotated[int | None, opt.option("PORT")] = None
@@ -56,7 +57,7 @@ class Play:
         check_method(self.method)
         config = controller_config(self.config)
         conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb))
-        if self.motions == (opt.STEER,):
+        if self.motions[:1] == (opt.STEER,):
             return self._steered(config, conditions)
         if self.udp is not None:
             raise ConfigError(f"--udp steers a robot; play {opt.STEER}")
@@ -83,11 +84,14 @@ class Play:
         from fastmimic.play.session import LiveSession
         from fastmimic.steering.commands import CommandSocket
 
+        _, *gait = self.motions
+        if len(gait) > 1:
+            raise ConfigError(f"a robot is steered with one gait, found {', '.join(gait)}")
         with closing(CommandSocket(self.udp)) if self.udp is not None else nullcontext() as commands:
-            gaits = opt.gaits_of(self.robot)
+            gaits = opt.gaits_of(self.robot, *gait)
             with slow_start():
                 session = LiveSession(
                     gaits.robot, {}, method=self.method, config=config, conditions=conditions, gaits=gaits
                 )
             with PlayPage(session, f"{gaits.robot.name}, steered", self.port, commands) as page:
-                return serve(page, opt.STEER, self.port)
+                return serve(page, f"{opt.STEER} {' '.join(gait)}".strip(), self.port)

@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
@@ -43,6 +44,7 @@ def retarget(
     rate_hz: float = 500.0,
     scale: float | None = None,
     cycle: bool | None = None,
+    velocity: Array | None = None,
     config: RetargetConfig | None = None,
     executable: bool = True,
     falls: Callable[[Robot, Motion], float] | None = None,
@@ -54,6 +56,7 @@ def retarget(
         rate_hz: of the motion; a cycle's period becomes a whole number of samples.
         scale: animal's to robot's size; if None the clip's own or the ratio of leg lengths (0.825 for a dog on the A1).
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
+        velocity: (3,) of a cycle, instead of its own: forwards, to the left, m/s, turning, rad/s, the robot's.
         config: settings at the A1's size, `RetargetConfig()` if None.
         executable: whether the motion is the nearest one that the robot can execute; its `animal` is then the
             kinematic motion. A robot's own motion, and one that is not made consistent (`RetargetConfig`), stay as they
@@ -73,6 +76,8 @@ def retarget(
     work.make_track()
     work.choose_height()
     work.schedule_contacts()
+    if velocity is not None:
+        work.change_velocity(velocity)
     work.fit()
     report = make_report(work)
     provenance = Provenance(

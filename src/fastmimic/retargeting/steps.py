@@ -17,6 +17,7 @@ from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.track import (
     ScaledClip,
+    TrunkTrack,
     cycle_displacement,
     extract,
     pose_mismatch,
@@ -93,10 +94,16 @@ class Retargeting:
         self.detected = detect(self.activity, self.rate_hz, self.periodic, config.contact)
         if self.periodic:
             stands = all(leg and leg[0].duration >= self.n for leg in self.detected)  # no foot ever lifts off
-            travels = not (config.consistent and stands)
-            self.track = track_cycle(self.source, self.n, config.trunk_hz, config.foot_hz, travels=travels)
+            self.track = self._cycle(np.zeros(3) if config.consistent and stands else None)
         else:
             self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
+
+    def change_velocity(self, velocity: Array) -> None:
+        """Changes a cycle's mean velocity (3,): forwards, to the left, m/s, turning, rad/s. Its contacts stay."""
+        self.track = self._cycle(velocity * self.duration)
+
+    def _cycle(self, twist: Array | None) -> TrunkTrack:
+        return track_cycle(self.source, self.n, self.config.trunk_hz, self.config.foot_hz, twist)
 
     def _activity(self) -> Array:
         """The feet's activity (n, 4), linear between frames."""

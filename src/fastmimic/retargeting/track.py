@@ -241,19 +241,21 @@ def pose_mismatch(source: ScaledClip) -> float:
     return float(np.linalg.norm(closing_error(pose)) / max(spread, 1e-6))
 
 
-def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> TrunkTrack:
-    """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
+def track_cycle(
+    source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, twist: Array | None = None
+) -> TrunkTrack:
+    """A cycle on `n_out` samples, closed and low-passed; it moves by `twist` (3,) instead of its own way:
+    forwards, to the left, m, and turning, rad, at a constant rate.
 
     Planar motion is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)), where a
     cycle is periodic whether it turns or not. The closing error is spread evenly over the cycle, and the Fourier series
     closes position, velocity and acceleration.
     """
     n = len(source.root_xy)
-    cycle = cycle_displacement(source) if travels else np.zeros(3)
-    twist = planar_log(cycle)
+    own = planar_log(cycle_displacement(source))
     start, yaw0 = source.root_xy[0], source.heading[0]
 
-    def frame(share: Array) -> tuple[Array, Array]:
+    def frame(share: Array, twist: Array = own) -> tuple[Array, Array]:
         offset, angle = planar_exp(twist, share)
         return start + rotate_planar(yaw0, offset), yaw0 + angle
 
@@ -264,10 +266,11 @@ def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float,
     origin, angle = frame(np.arange(n) / n)
     local_xy = smooth(rotate_planar(-angle, source.root_xy - origin), trunk_hz)
     local_yaw = smooth(source.heading - angle, trunk_hz)
-    origin, angle = frame(np.arange(n_out) / n_out)
+    twist = own if twist is None else twist
+    origin, angle = frame(np.arange(n_out) / n_out, twist)
     root_xy = origin + rotate_planar(angle, local_xy)
     heading = angle + local_yaw
-    end, end_angle = frame(np.ones(()))
+    end, end_angle = frame(np.ones(()), twist)
     displacement = end + rotate_planar(end_angle, local_xy[0]) - root_xy[0]
     dx, dy = rotate_planar(-heading[0], displacement)
     return TrunkTrack(
@@ -277,7 +280,7 @@ def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float,
         tilt=smooth(source.tilt, trunk_hz),
         toe_from_hip=smooth(source.toe_from_hip, foot_hz),
         toe_height=np.maximum(smooth(source.toe_height, foot_hz), 0.0),
-        cycle=np.array([dx, dy, cycle[2]]),
+        cycle=np.array([dx, dy, twist[2]]),
     )
 
 

@@ -1,6 +1,7 @@
-"""A field of gaits: one built-in gait at many velocities, each made executable, to be interpolated between.
+"""A field of gaits: one gait at many velocities, each made executable, to be interpolated between.
 
-The gaits differ in their velocity alone: at equal phase the same feet stand. So any mixture of neighbours is a gait
+The gait is an animal's, one period of it, or built in. What is changed is the trunk's mean velocity; the feet land
+where the animal puts them under the trunk. So at equal phase the same feet stand: any mixture of neighbours is a gait
 again, at the velocity between theirs, and the velocity can change in every control step. The axes of the grid are the
 velocities forwards and to the left and the turn rate. The greatest turn rate depends on the forward velocity, as the
 ground has to give their product as centripetal acceleration.
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import MotionError
+from fastmimic.base.errors import ClipError, MotionError
+from fastmimic.clips.clip import Clip
 from fastmimic.clips.synthesis import GAITS, keypoints
 from fastmimic.episode.loop import share_of_falls
 from fastmimic.executors import Report
@@ -26,14 +28,14 @@ from fastmimic.reference.course import COURSE, course_of
 from fastmimic.reference.regulator import GAINS, motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import standing
-from fastmimic.retargeting.retarget import retarget
+from fastmimic.retargeting.retarget import is_one_cycle, retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import nearest_executable
 from fastmimic.trajectory.solved import Remembered
 
 RATE_HZ: Final = 500.0
-_GAIT: Final = dataclasses.replace(GAITS["trot"], duty=0.55, half_width=0.04, lift=0.09)
+_GAIT: Final = dataclasses.replace(GAITS["trot"], speed=0.5, duty=0.55, half_width=0.04, lift=0.09)
 _SHARES: Final = (1.0, 0.8, 0.6, 0.4)  # of a velocity that are tried
 _KEPT: Final = (
     TrajectoryConfig(keep_time=True, keep_speed=True),
@@ -52,6 +54,11 @@ class Grid:
     forwards: tuple[float, ...] = (-0.5, 0.0, 0.5, 1.0, 1.5)
     sideways: tuple[float, ...] = (-0.4, 0.0, 0.4)
     turning: tuple[float, ...] = (2.0, 2.0, 2.0, 1.5, 0.9)
+
+    def sized(self, size: float) -> "Grid":
+        """That of a robot of another size than the A1's."""
+        forwards, sideways = (tuple(size * v for v in axis) for axis in (self.forwards, self.sideways))
+        return Grid(forwards, sideways, self.turning)
 
     def velocities(self) -> list[tuple[float, float, float]]:
         """Those of all gaits (k = a · b · 3): turning to the right, not, and to the left."""
@@ -83,32 +90,40 @@ class GaitField:
 
 def gait_field(
     source: str,
+    clip: Clip | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
     *,
     grid: Grid | None = None,
     workers: int | None = 1,
 ) -> GaitField:
-    """The field of a robot, whose name or file is `source`. It is made once, in a minute or two, and kept in the user's
+    """The field of a robot, whose name or file is `source`, from one period of an animal's gait, or by default of a
+    built-in trot. It is made once, in a minute or two, and kept in the user's
     cache folder; `progress` is told how many of the gaits are done, and of how many. `workers` processes make it, as
     many as there are cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises
-    `MotionError` if there is no executable motion near a gait."""
-    robot, grid = load_robot(source), grid if grid is not None else Grid()
-    size = robot.leg_length / _A1_LEG_M
-    forwards, sideways, turning = size * np.array(grid.forwards), size * np.array(grid.sideways), np.array(grid.turning)
-    known = Remembered(repr(("gait field", robot, _GAIT)), [forwards, sideways, turning], outcome=True)
+    `MotionError` if there is no executable motion near a gait, `ClipError` for a clip that does not repeat."""
+    clip = clip if clip is not None else keypoints(_GAIT, {"name": "trot"})
+    if not is_one_cycle(clip):
+        name = clip.meta.get("name", "the clip")
+        raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
+    robot = load_robot(source)
+    grid = (grid if grid is not None else Grid()).sized(robot.leg_length / _A1_LEG_M)
+    given = [np.array(grid.velocities()), clip.points_w]
+    if clip.root_quat_wxyz is not None:
+        given.append(clip.root_quat_wxyz)
+    known = Remembered(repr(("gait field", robot, clip.rate_hz, clip.scale)), given, outcome=True)
     found = known.read()
     if found is None:
-        found = _made(source, robot, grid, progress, LocalExecutor(workers))
+        found = _made(source, clip, robot, grid, progress, LocalExecutor(workers))
         known.keep(found)
     rows, gains = (found[name].view(kind)[..., 0] for name, kind in (("rows", COURSE), ("gains", GAINS)))
-    return GaitField(robot, forwards, sideways, turning, rows, gains)
+    return GaitField(robot, np.array(grid.forwards), np.array(grid.sideways), np.array(grid.turning), rows, gains)
 
 
 def _made(
-    source: str, robot: Robot, grid: Grid, progress: Callable[[int, int], None], executor: LocalExecutor
+    source: str, clip: Clip, robot: Robot, grid: Grid, progress: Callable[[int, int], None], executor: LocalExecutor
 ) -> dict[str, Array]:
     """Rows and gains of all gaits, as bytes."""
-    jobs = [(source, velocity) for velocity in grid.velocities()]
+    jobs = [(source, clip, velocity) for velocity in grid.velocities()]
     made: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
     for outcome in executor.run(make_gait, jobs):
         if outcome.error is not None:
@@ -123,21 +138,19 @@ def _made(
 
 
 def make_gait(
-    job: tuple[str, tuple[float, float, float]], report: Report = lambda share: None
+    job: tuple[str, Clip, tuple[float, float, float]], report: Report = lambda share: None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """The rows (t,) of `COURSE` and gains (g,) of `GAINS` of a robot's gait at a velocity; if there is none, those of a
     slower one."""
-    source, wanted = job
+    source, clip, wanted = job
     robot = load_robot(source)
     for share in _SHARES:
-        velocity = [share * each for each in wanted]
-        spec = dataclasses.replace(_GAIT, speed=velocity[0], lateral_speed=velocity[1], yaw_rate=velocity[2])
-        clip = keypoints(spec, {"name": "gait at {:g} m/s, {:g} m/s to the left, {:g} rad/s".format(*velocity)})
-        animal, _ = retarget(clip, robot, executable=False)
+        animal, _ = retarget(clip, robot, velocity=share * np.array(wanted), cycle=True, executable=False)
         motion = _executable(robot, animal)
         if motion is not None:
             return course_of(motion, robot), motion_gains(motion, robot, RegulatorConfig())
-    raise MotionError(f"{robot.name} cannot be steered: it has no {clip.meta['name']}")
+    at = "{:g} m/s, {:g} m/s to the left, {:g} rad/s".format(*wanted)
+    raise MotionError(f"{robot.name} cannot be steered by {clip.meta.get('name', 'this clip')}: no motion at {at}")
 
 
 def _executable(robot: Robot, animal: Motion) -> Motion | None:

@@ -28,6 +28,7 @@ _SETTLE_S: Final = 0.25  # time constant of the last approach to the wanted velo
 _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is below that can stand
 _STAND_S: Final = 0.15  # between a gait and standing
 _CENTRED_S: Final = 0.3  # time constant with which a standing trunk moves to the middle of its feet
+_LOW_M: Final = 0.002
 _LANDED: Final = 0.95  # share of a swing at whose end its foot is where the gaits have it
 
 STEERED: Final = record_dtype(
@@ -71,10 +72,11 @@ class Steered:
         tilt *= np.where(np.sum(tilt * tilt[-1, 0], axis=-1, keepdims=True) < 0, -1.0, 1.0)
         contact = np.ascontiguousarray(field.rows["contact"][n_gaits // 2 - 1])  # of the gait in the field's middle
         until = np.array([[_rows_until(contact[:, leg], row) for leg in range(4)] for row in range(n)])
+        schedule = contact, until, _stops(contact, field.rows["foot"][n_gaits // 2 - 1, ..., 2].max(axis=-1))
         self.field, self.gains = field, field.gains.reshape(-1)
         self.place = np.zeros(1, STEERED)
         self._scratch = self.place.copy()
-        self._given = (field.forwards, field.sideways, field.turning), values, contact, until, field.gains.shape[1]
+        self._given = (field.forwards, field.sideways, field.turning), values, schedule, field.gains.shape[1]
         self._work = np.zeros(1, _MIXTURE)[0], make_work(field.robot, 1.0 / RATE_HZ)[0]
         self.put(0.0, 0.0, 0.0)
 
@@ -143,6 +145,13 @@ def _rows_until(contact: NDArray[Any], row: int) -> int:
     return int(np.argmax(np.roll(contact, -row) != 0))
 
 
+def _stops(contact: NDArray[Any], height: Array) -> NDArray[np.int64]:
+    """Whether the robot can come to stand at a row (t,): where as many feet stand as ever, and the others are at their
+    lowest; of the greatest `height` of a foot, m."""
+    most = contact.sum(axis=1) == contact.sum(axis=1).max()
+    return np.asarray(most & (height <= height[most].min() + _LOW_M), np.int64)
+
+
 @inlined
 def _between(axis: Array, value: float) -> Any:
     """The node of an axis before a value, or the last but one, and the share of the way to the next, in [0, 1]."""
@@ -188,15 +197,15 @@ def _mix(grid: Any, values: Array, s: Any, mixture: Any) -> None:
 
 
 @kernel
-def _feet(contact: Any, until: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
+def _feet(schedule: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
     """Moves the feet by `dt` s of the gaits' time, with the root and the mixture as they are now."""
-    n = contact.shape[0]
-    row = int(s.position) % n
+    contact, until, _ = schedule
+    row = int(s.position) % contact.shape[0]
     cos, sin = np.cos(s.pose[2]), np.sin(s.pose[2])
     lean = mixture.values[_HEIGHT] / GRAVITY
     for leg in range(4):
         x, y = mixture.values[_FOOT + 3 * leg], mixture.values[_FOOT + 3 * leg + 1]
-        if contact[row, leg] == 1:
+        if contact[row, leg] == 1 or s.stands > 0.0:
             if s.swings[leg] == 1:
                 s.swings[leg] = 0
                 fx, fy = x + s.away[leg, 0], y + s.away[leg, 1]
@@ -226,23 +235,24 @@ def _feet(contact: Any, until: Any, s: Any, mixture: Any, work: Any, dt: float) 
 
 
 @kernel
-def _put(grid: Any, values: Array, contact: Any, until: Any, gains: int, s: Any, mixture: Any, work: Any) -> None:
+def _put(grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture: Any, work: Any) -> None:
     _mix(grid, values, s, mixture)
     cos, sin = np.cos(s.pose[2]), np.sin(s.pose[2])
-    for row in range(contact.shape[0]):  # where all feet stand, and one lifts off soon
-        if contact[row].sum() == 4 and contact[(row + 1) % contact.shape[0]].sum() < 4:
+    stops = schedule[2]
+    for row in range(stops.shape[0]):  # the last at which it could stand: a foot lifts off soon
+        if stops[row] == 1 and stops[(row + 1) % stops.shape[0]] == 0:
             s.position = row
     for leg in range(4):
         x, y = mixture.values[_FOOT + 3 * leg], mixture.values[_FOOT + 3 * leg + 1]
         s.foothold[leg, 0] = s.pose[0] + cos * x - sin * y
         s.foothold[leg, 1] = s.pose[1] + sin * x + cos * y
-    _feet(contact, until, s, mixture, work, 0.0)
-    _feet(contact, until, s, mixture, work, 0.0)
+    _feet(schedule, s, mixture, work, 0.0)
+    _feet(schedule, s, mixture, work, 0.0)
 
 
 @kernel
 def _advance(
-    grid: Any, values: Array, contact: Any, until: Any, gains: int, s: Any, mixture: Any, work: Any, tempo: float
+    grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture: Any, work: Any, tempo: float
 ) -> None:
     """Advances by one control step, in which the feet go on by `tempo` of them."""
     dt = work.dt
@@ -278,12 +288,11 @@ def _advance(
             s.position -= values.shape[1]
             s.synced = 1
         _mix(grid, values, s, mixture)
-        row = int(s.position) % contact.shape[0]
         for k in range(3):
             still = still and abs(s.velocity[k]) < 2.0 * _STILL[k]
-        if still and contact[row].sum() == 4:
+        if still and schedule[2][int(s.position) % values.shape[1]] == 1:
             s.standing = 1
-    _feet(contact, until, s, mixture, work, tempo * dt)
+    _feet(schedule, s, mixture, work, tempo * dt)
 
 
 @kernel
@@ -300,27 +309,25 @@ def _change_velocity(s: Any, dt: float) -> None:
 
 
 @kernel
-def _fill(
-    grid: Any, values: Array, contact: Any, until: Any, gains: int, s: Any, mixture: Any, work: Any, table: Any
-) -> None:
+def _fill(grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture: Any, work: Any, table: Any) -> None:
     x0, y0, yaw0 = s.pose[0], s.pose[1], s.pose[2]
     cos, sin = np.cos(yaw0), np.sin(yaw0)
     for k in range(table.shape[0]):
         _mix(grid, values, s, mixture)
-        row = int(s.position) % contact.shape[0]
-        _sample(mixture, contact[row], s, table[k])
+        row = int(s.position) % values.shape[1]
+        _sample(mixture, schedule[0][row], s, table[k])
         table[k].gain = _nearest(mixture) * gains + row // GAIN_SAMPLES
         table[k].sync = s.synced if k > 0 else 0
         dx, dy = s.pose[0] - x0, s.pose[1] - y0
         put_at(cos * dx + sin * dy, -sin * dx + cos * dy, s.pose[2] - yaw0, table[k])
         if k > 0:
             if k + 1 < table.shape[0]:
-                _advance(grid, values, contact, until, gains, s, mixture, work, 1.0)
+                _advance(grid, values, schedule, gains, s, mixture, work, 1.0)
             continue
         for leg in range(4):
             copy(s.before[leg], work.feet[0, leg])
             copy(s.feet[leg], work.feet[1, leg])
-        _advance(grid, values, contact, until, gains, s, mixture, work, 1.0)
+        _advance(grid, values, schedule, gains, s, mixture, work, 1.0)
         for leg in range(4):
             copy(s.feet[leg], work.feet[2, leg])
         put_joints(work, table[0])
@@ -349,5 +356,5 @@ def _sample(mixture: Any, contact: Any, s: Any, out: Any) -> None:
     out.lin_acc[1] += s.rate[1]
     out.ang_acc[2] += s.rate[2]
     for leg in range(4):
-        out.contact[leg] = contact[leg]
+        out.contact[leg] = 1 if s.stands > 0.0 else contact[leg]
         copy(s.feet[leg], out.foot_pos[leg])

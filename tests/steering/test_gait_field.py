@@ -1,0 +1,72 @@
+"""Gaits at many velocities out of one."""
+
+import numpy as np
+import pytest
+
+from fastmimic.base.errors import ClipError
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.synthesis import gait, keypoints
+from fastmimic.reference.course import course_of
+from fastmimic.reference.regulator import motion_gains
+from fastmimic.reference.regulator_config import RegulatorConfig
+from fastmimic.reference.standing import standing
+from fastmimic.reference.table import SAMPLE
+from fastmimic.retargeting.retarget import retarget
+from fastmimic.robot import load_robot
+from fastmimic.steering.gait_field import GaitField, Grid, gait_field
+from fastmimic.steering.steered import Steered
+
+
+@pytest.mark.parametrize("name", ["trot", "walk", "turn", "pace"])
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (-0.4, 0.1, 0.0), (0.7, -0.2, 0.0), (0.5, 0.1, 1.5)])
+def test_a_cycle_at_another_velocity_keeps_its_contacts(name: str, velocity: tuple[float, float, float]) -> None:
+    robot = load_robot("a1")
+    clip = open_clip(name, robot=robot)
+    own, _ = retarget(clip, robot, executable=False)
+    motion, _ = retarget(clip, robot, velocity=np.array(velocity), executable=False)
+    np.testing.assert_array_equal(motion.contact, own.contact)
+    assert motion.cycle is not None
+    assert motion.cycle[2] / motion.period_s == pytest.approx(velocity[2], abs=1e-9)
+    heading = np.unwrap(yaw_from_quat(motion.root_quat_wxyz))
+    way = rotate_planar(-heading[:-1], np.diff(motion.root_pos_w[:, :2], axis=0)) * motion.rate_hz
+    np.testing.assert_allclose(way.mean(axis=0), velocity[:2], atol=0.03)
+    stands = motion.contact[1:] & motion.contact[:-1]
+    slid = np.linalg.norm(np.diff(motion.foot_pos_w[..., :2], axis=0), axis=-1)
+    assert slid[stands].max() < 1e-6
+
+
+def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
+    robot, axes = load_robot("a1"), ((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0))
+    clip = keypoints(gait("trot", speed=0.7, duty=0.4), {"name": "a trot with flight"})
+    found = [retarget(clip, robot, velocity=np.array(v), executable=False)[0] for v in Grid(*axes).velocities()]
+    assert found[0].contact.sum(axis=1).max() < 4
+    config, n = RegulatorConfig(), found[0].n_samples
+    stand, gains = standing(robot), [motion_gains(motion, robot, config) for motion in found]
+    rows = [*(course_of(motion, robot) for motion in found), np.repeat(course_of(stand, robot)[:1], n)]
+    gains.append(np.repeat(motion_gains(stand, robot, config)[:1], len(gains[0])))
+    steered = Steered(GaitField(robot, *map(np.array, axes), np.stack(rows), np.stack(gains)))
+
+    def advance(seconds: float) -> float:
+        fastest, table, before = 0.0, np.zeros(1, SAMPLE), None
+        for _ in range(round(seconds * 500)):
+            steered.fill(table)
+            now = table["joint_pos"][0].copy()
+            fastest = fastest if before is None else max(fastest, float(np.abs(now - before).max()) * 500)
+            before = now
+            steered.advance(steered.place["pose"][0, :2].copy())
+        return fastest
+
+    assert steered.state == "standing"
+    steered.steer(np.array([0.7, 0.0, 0.0]))
+    advance(2.0)
+    assert steered.velocity[0] == pytest.approx(0.7, abs=0.01)
+    steered.steer(np.zeros(3))
+    assert advance(2.0) < robot.joint_speed_limit.max()
+    assert steered.state == "standing"
+    assert advance(0.2) < 0.05
+
+
+def test_a_clip_that_does_not_repeat_is_no_gait() -> None:
+    with pytest.raises(ClipError, match=r"jump is not one period of a gait; 'fastmimic segment' finds"):
+        gait_field("a1", open_clip("jump"))
