@@ -5,7 +5,6 @@ import math
 import signal
 import sys
 import threading
-from collections.abc import Callable
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -198,8 +197,16 @@ class Deploy:
             log=log,
             about={"driver": self.driver, "arguments": opt.recorded(self), "versions": versions()},
         )
+        doing = ""
         with slow_start() as started:
-            watch = _Watch(started)
+
+            def watch(machine: "StateMachine", command: NDArray[Any]) -> None:
+                nonlocal doing
+                if machine.doing is not doing:
+                    started()
+                    doing = machine.doing
+                    note(doing)
+
             return deploy(
                 motion, robot, driver, options, clock=clock, switch=switch, on_ready=ready, watch=watch, note=note
             )
@@ -253,19 +260,6 @@ def _answers(driver: RobotDriver) -> bool:
 def _agreed(switch: StopSwitch) -> bool:
     note("ready: is the space around the robot free, and a hand on its emergency stop? Enter starts, q cancels")
     return switch.wait_for_consent()
-
-
-class _Watch:
-    """Prints what the robot does, whenever that changes."""
-
-    def __init__(self, started: Callable[[], None]) -> None:
-        self._started, self._last = started, ""
-
-    def __call__(self, machine: "StateMachine", command: "NDArray[Any]") -> None:
-        if machine.doing is not self._last:
-            self._started()
-            self._last = machine.doing
-            note(self._last)
 
 
 @dataclass(frozen=True, kw_only=True)

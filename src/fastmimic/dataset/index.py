@@ -311,7 +311,8 @@ def _chosen(rows: Sequence[Record], superseded: list[Superseded]) -> tuple[list[
             why = f"begun otherwise; instead of it there is {later}"
             superseded.append(Superseded(row["id"], row["name"], robot_of(row), row["seed"], why, later))
     from_last = sorted(last.values(), reverse=True)  # of equally good ones the first by id is the best
-    best = {_search(rows[i])[:2]: i for i in sorted(from_last, key=lambda i: _rank(rows[i]))}
+    by_rank = sorted(from_last, key=lambda i: (RANKS.index(rows[i]["grade"]), rows[i]["reward_mean_perturbed"] or 0.0))
+    best = {_search(rows[i])[:2]: i for i in by_rank}
     found = sorted(from_last, key=lambda i: [rows[i][name] for name in ("name", "robot", "seed", "id")])
     chosen = set(best.values())
     return found, [i in chosen and rows[i]["kept"] for i in found]
@@ -320,8 +321,3 @@ def _chosen(rows: Sequence[Record], superseded: list[Superseded]) -> tuple[list[
 def _search(row: Record) -> tuple[Any, ...]:
     """Excerpt, robot and more: the same for records that differ only in their start."""
     return row["piece"], robot_of(row), row["seed"], row["robot_digest"], row["recipe"]
-
-
-def _rank(row: Record) -> tuple[int, float]:
-    """The greatest is the best."""
-    return RANKS.index(row["grade"]), row["reward_mean_perturbed"] or 0.0

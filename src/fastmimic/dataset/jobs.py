@@ -33,7 +33,6 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
 from fastmimic.experiments.measurement import measure, named_values, searched
 from fastmimic.imitation.imitate import Imitation
-from fastmimic.motion.motion import Motion
 from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.randomization import Randomization
@@ -199,7 +198,11 @@ def _tried(job: Job, result: Imitation) -> Record:
     exceeded = reasons(needs, describe_fall(robot, measured.after))
     simulated_s = result.simulated_s + measured.simulated_s
     figures |= {
-        **_what_it_is(demonstration),
+        "period_s": demonstration.period_s,
+        "speed_m_per_s": np.linalg.norm(demonstration.root_lin_vel_w[:, :2], axis=1).mean(),
+        "yaw_rate_rad_per_s": demonstration.root_ang_vel_w[:, 2].mean(),
+        "duty_factor": demonstration.contact.mean(),
+        "repeats": demonstration.cycle is not None,
         "joint_speed_share": needs.joint_speed,
         "torque_share": needs.torque,
         "friction_needed": needs.friction,
@@ -225,18 +228,6 @@ def _tried(job: Job, result: Imitation) -> Record:
         simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
         figures |= Metrics.of(rollout).named(("reward_mean", "fell"), "second_simulator")
     return figures | {"simulated_s": simulated_s}
-
-
-def _what_it_is(motion: Motion) -> Record:
-    """Speed along the path, turning, and share of stance of the robot's demonstration."""
-    velocity = motion.root_lin_vel_w[:, :2]
-    return {
-        "period_s": motion.period_s,
-        "speed_m_per_s": np.linalg.norm(velocity, axis=1).mean(),
-        "yaw_rate_rad_per_s": motion.root_ang_vel_w[:, 2].mean(),
-        "duty_factor": motion.contact.mean(),
-        "repeats": motion.cycle is not None,
-    }
 
 
 def distance(a: Excerpt, b: Excerpt) -> float:

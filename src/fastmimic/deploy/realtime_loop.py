@@ -221,7 +221,12 @@ class Loop:
         phase, limits = self.machine.phase, self._guard.limits
         try:
             if violation.reason.crouches:
-                self._crouch(round(limits.crouch_s / self._dt))
+                steps = round(limits.crouch_s / self._dt)
+                for i in range(steps):
+                    self._step_down(DeploymentPhase.CROUCH, self.machine.crouch(i / steps))
+                    self.switch.poll()
+                    if self.switch.key or self.switch.signals >= _AT_ONCE:
+                        break
             for _ in range(max(1, round(limits.damping_s / self._dt))):
                 self._step_down(DeploymentPhase.DAMP, self._damping)
                 if self.switch.signals >= _AT_ONCE:
@@ -229,14 +234,6 @@ class Loop:
         except DriverError:
             pass  # connection lost; the robot's watchdog damps it
         return self._outcome(violation.reason, violation.text, phase)
-
-    def _crouch(self, steps: int) -> None:
-        """Folds the legs, unless somebody stops it."""
-        for i in range(steps):
-            self._step_down(DeploymentPhase.CROUCH, self.machine.crouch(i / steps))
-            self.switch.poll()
-            if self.switch.key or self.switch.signals >= _AT_ONCE:
-                return
 
     def _step_down(self, phase: DeploymentPhase, command: NDArray[Any]) -> None:
         """One period after the end: a command that needs no state."""

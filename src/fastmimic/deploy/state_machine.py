@@ -73,7 +73,6 @@ class StateMachine:
         self._model_based = Controller(robot, [motion], 1, config)
         self._own: LoopController = self._model_based if policy is None else policy(robot, motion.target, 1, config)
         self.controller: LoopController = self._model_based
-        self._failed = self.controller.memory["failed_in_a_row"]
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         self.observation = self.estimator.observation
         self.follower = Follower(sequence)
@@ -191,7 +190,8 @@ class StateMachine:
             self.phase, self._steps = DeploymentPhase.SIT, 0
             return self._command
         command = self.controller.step(observation, follower.clock)
-        self.violation = self.guard.check_number(StopReason.QP_FAILURE, int(self._failed[0]))
+        failed = int(self.controller.memory["failed_in_a_row"][0])
+        self.violation = self.guard.check_number(StopReason.QP_FAILURE, failed)
         return self._cut(command)
 
     def _cut(self, command: NDArray[Any]) -> NDArray[Any]:
@@ -291,7 +291,7 @@ class StateMachine:
         begins = follower.part is self.sequence.blend_in
         chosen.tables, self._model_based.gains = follower.part.table, follower.part.gains
         if chosen is not self.controller or begins:
-            self.controller, self._failed = chosen, chosen.memory["failed_in_a_row"]
+            self.controller = chosen
             chosen.reset(follower.clock["sample"])
 
 

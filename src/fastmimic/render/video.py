@@ -151,8 +151,9 @@ def render_video(
             raise ConfigError(f"{name} must be positive, found {value:g}")
     if not 1 <= columns <= len(tracks):
         raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
+    longest = max(len(t.points_w if isinstance(t, AnimalTrack) else t.root_pos_w) for t in tracks)
     drawn_size = (round(size[0] * supersampling), round(size[1] * supersampling))
-    count = max(1, round(max(_samples(t) for t in tracks) / rate_hz * (fps * slow_motion)))
+    count = max(1, round(longest / rate_hz * (fps * slow_motion)))
     times = np.arange(count) / (fps * slow_motion)  # in the motion, s
     frames = _frames(times, window_s)
     arguments = encoder_arguments(path, drawn_size, size, fps, quality, len(frames))
@@ -229,10 +230,6 @@ def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
     if first >= end:
         raise ConfigError(f"nothing is between {window_s[0]:g} and {window_s[1]:g} s of tracks of {times[-1]:.2f} s")
     return range(int(first), int(end))
-
-
-def _samples(track: AnyTrack) -> int:
-    return len(track.points_w if isinstance(track, AnimalTrack) else track.root_pos_w)
 
 
 def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:

@@ -171,7 +171,13 @@ def draw_run(result: Imitation, folder: RunFolder) -> None:
     h = result.history
     if h is not None and len(h.best):
         style.save(convergence_figure(h, title), folder.path / CONVERGENCE)
-    style.save(_tracked(result, title), folder.path / TRACKING)
+    log = result.after.course
+    time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
+    wanted, after = foot_courses(result.after, result.robot)
+    _, before = foot_courses(result.before, result.robot)
+    window_s = shown_window(result.demonstration, (result.before, result.after))
+    figure = tracking_figure(time_s, wanted, before, after, log.wanted[0], title, window_s=window_s)
+    style.save(figure, folder.path / TRACKING)
 
 
 def write_video(
@@ -211,15 +217,6 @@ def _tracks(result: Imitation) -> list[Track]:
         ]
     as_it_is = "as retargeted" if result.motion.demonstration is None else "as its motions were optimised"
     return [track(result.before, as_it_is, result.method)]
-
-
-def _tracked(result: Imitation, title: str) -> Figure:
-    log = result.after.course
-    time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
-    wanted, after = foot_courses(result.after, result.robot)
-    _, before = foot_courses(result.before, result.robot)
-    window_s = shown_window(result.demonstration, (result.before, result.after))
-    return tracking_figure(time_s, wanted, before, after, log.wanted[0], title, window_s=window_s)
 
 
 def motion_figure(motion: Motion, robot: Robot) -> Figure:
@@ -329,7 +326,10 @@ def _draw_joint(axes: Axes, time: Array, values: Array, lower: float, upper: flo
 def segments_figure(clip: Clip, segments: list[Segment], title: str) -> Figure:
     """A take over time: segments by name (of `find_segments`), the toes' fore-aft paths, the trunk's speed, heading."""
     seconds = clip.n_frames / clip.rate_hz
-    figure = style.new_figure(float(np.clip(0.45 * seconds, 10.0, 40.0)), 6.4, f"{title}: {_summary(segments)}")
+    repeating = [s.end - s.start for s in segments if s.period_frames is not None]
+    percent = 100 * sum(repeating) / max((s.end for s in segments), default=1)
+    title = f"{title}: {percent:.0f} % repeats, in {len(repeating)} segments"
+    figure = style.new_figure(float(np.clip(0.45 * seconds, 10.0, 40.0)), 6.4, title)
     bars, feet, speed, heading = figure.subplots(4, 1, sharex=True, height_ratios=(1.1, 2, 1, 1))
     _draw_bars(bars, segments, clip.rate_hz)
     time = np.arange(clip.n_frames) / clip.rate_hz
@@ -364,9 +364,3 @@ def _draw_bars(axes: Axes, segments: list[Segment], rate_hz: float) -> None:
     style.tidy(axes, "Segments: gait, and the period of a cycle in frames; hatched: does not repeat")
     axes.set_yticks([])
     axes.set_ylim(-0.5, 0.5)
-
-
-def _summary(segments: list[Segment]) -> str:
-    repeating = sum(s.end - s.start for s in segments if s.period_frames is not None)
-    total = max((s.end for s in segments), default=1)
-    return f"{100 * repeating / total:.0f} % repeats, in {sum(s.period_frames is not None for s in segments)} segments"

@@ -330,13 +330,11 @@ class DisturbedMujocoSimulation(MujocoSimulation, Disturbed):
         if self._pushed:
             self.push(self._steps * self.substeps / DEFAULT_PHYSICS_RATE_HZ, self._qpos[:, 3:7])
             self._forces[:, self.trunk, :3] = self.trunk_force
-        self._delay.send(commands, self._steps)
-        if self._delay.late.any():
-            for substep in range(self.substeps):
-                self.drive(self._delay.arrived(self._steps, substep))
-                self.batch.step(nstep=1)
-        else:
-            self.drive(commands)
-            self.batch.step(nstep=self.substeps)
-        self._steps += 1
+        step, self._steps = self._steps, self._steps + 1
+        self._delay.send(commands, step)
+        if not self._delay.late.any():
+            return super().step(commands)
+        for substep in range(self.substeps):
+            self.drive(self._delay.arrived(step, substep))
+            self.batch.step(nstep=1)
         return self.observe()

@@ -25,7 +25,7 @@ from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.robot.state import OBSERVATION
+from fastmimic.robot.state import OBSERVATION, commanded_torque
 from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, driving_limit, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
 from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
@@ -187,11 +187,7 @@ class _Body:
         states = bullet.getJointStates(self.id, self.joints)
         position = np.array([state[0] for state in states])
         velocity = np.array([state[1] for state in states])
-        torque = (
-            command["torque"]
-            + command["stiffness"] * (command["joint_pos"] - position)
-            + command["damping"] * (command["joint_vel"] - velocity)
-        )
+        torque = commanded_torque(command, position, velocity)
         most = np.where(torque * velocity > 0, driving_limit(limit, top_speed, velocity), limit)
         torque = strength * np.clip(torque, -most, most)
         bullet.setJointMotorControlArray(self.id, self.joints, bullet.TORQUE_CONTROL, forces=torque.tolist())

@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import quat_rotate
@@ -48,16 +47,13 @@ class Puppet:
         assert video_scene.ghost_qpos is not None
         self._model, self._data = video_scene.model, mujoco.MjData(video_scene.model)
         self._qpos = (video_scene.robot_qpos, video_scene.ghost_qpos)
-        self._ids = [self._bodies_of(qpos) for qpos in self._qpos]
+        model = self._model
+        trunks = [model.jnt_bodyid[np.flatnonzero(model.jnt_qposadr == qpos[0])[0]] for qpos in self._qpos]
+        self._ids = [np.flatnonzero(model.body_rootid == trunk) for trunk in trunks]  # of each, the trunk first
         self.bodies, self.ghost_bodies = (
-            tuple(_body(self._model, b, _shown_geoms(self._model, b, ghost=ghost)) for b in ids)
+            tuple(_body(model, int(body), ghost=ghost) for body in ids)
             for ids, ghost in zip(self._ids, (False, True), strict=True)
         )
-
-    def _bodies_of(self, qpos: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The bodies of one of the robots, its trunk first."""
-        free = np.flatnonzero(self._model.jnt_qposadr == qpos[0])[0]
-        return np.flatnonzero(self._model.body_rootid == self._model.jnt_bodyid[free])
 
     def place(self, pose: Array, reference: Array | None = None) -> tuple[Placed, Placed | None]:
         """Places robot and ghost at a pose (19,) each: root position, quaternion, joints."""
@@ -75,23 +71,18 @@ class Puppet:
         return robot, None if reference is None else ghost
 
 
-def _shown_geoms(model: "mujoco.MjModel", body: int, *, ghost: bool) -> list[int]:
-    group = model.geom_group
-    shown = group == GHOST_GROUP if ghost else (group <= _VISIBLE_GROUPS)
-    found = [int(g) for g in np.flatnonzero((model.geom_bodyid == body) & shown)]
-    return [g for g in found if ghost or _rgba(model, g)[3] > 0]
-
-
 def _rgba(model: "mujoco.MjModel", geom: int) -> Array:
     material = model.geom_matid[geom]
     return np.asarray(model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom], dtype=np.float64)
 
 
-def _body(model: "mujoco.MjModel", body: int, geoms: list[int]) -> BodyMesh:
-    """Merges a body's geoms colour by colour."""
+def _body(model: "mujoco.MjModel", body: int, *, ghost: bool) -> BodyMesh:
+    """Merges a body's visible geoms colour by colour."""
+    group = model.geom_group
+    shown = group == GHOST_GROUP if ghost else (group <= _VISIBLE_GROUPS)
     by_colour: dict[Rgb, list[Trimesh]] = {}
-    for geom in geoms:
-        mesh = surface(model, geom)
+    for geom in np.flatnonzero((model.geom_bodyid == body) & shown).tolist():
+        mesh = surface(model, geom) if ghost or _rgba(model, geom)[3] > 0 else None
         if mesh is not None:
             mesh.vertices = model.geom_pos[geom] + quat_rotate(model.geom_quat[geom], mesh.vertices)
             r, g, b = (round(255 * float(c)) for c in _rgba(model, geom)[:3])

@@ -47,9 +47,9 @@ def read_bvh(text: str) -> Tracks:
     lines = _lines(text)
     joints = _hierarchy(lines)
     declared, frame_s = _rate(lines)
-    columns = sum(len(joint.channels) for joint in joints)
+    columns = [f"{j.name} {channel}" for j in sorted(joints, key=lambda j: j.first) for channel in j.channels]
     rows = [Row(number, words) for number, words in lines]
-    values = to_array(rows, columns, lambda column: _column_name(joints, column), "a BVH's channels")
+    values = to_array(rows, len(columns), columns.__getitem__, "a BVH's channels")
     if declared != len(values):
         raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
     parents = [joint.parent for joint in joints]
@@ -121,11 +121,6 @@ def _rate(lines: Iterator[tuple[int, list[str]]]) -> tuple[int, float]:
     if words[:2] != ["Frame", "Time:"] or len(words) != 3 or not is_number(words[2]) or not float(words[2]) > 0:
         raise ClipError(f"line {number}: expected 'Frame Time: S' with S > 0, found '{' '.join(words)[:40]}'")
     return count, float(words[2])
-
-
-def _column_name(joints: list[_Joint], column: int) -> str:
-    joint = next(j for j in joints if j.first <= column < j.first + len(j.channels))
-    return f"{joint.name} {joint.channels[column - joint.first]}"
 
 
 def _placed(joints: list[_Joint], values: Array) -> Array:

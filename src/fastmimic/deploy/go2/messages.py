@@ -236,7 +236,8 @@ class ServiceServer:
 
     def poll(self) -> None:
         """Answers the requests that have arrived."""
-        for number, api_id in self._requests.take(_asked):
+        asked = self._requests.take(lambda request: (request.header.identity.id, request.header.identity.api_id))
+        for number, api_id in asked:
             handler = self._handlers.get(api_id)
             response = self._responses.message
             response.header.identity.id, response.header.identity.api_id = number, api_id
@@ -305,7 +306,3 @@ def _heard(response: Any) -> tuple[int, Answer]:
     except ValueError:
         data = {}
     return response.header.identity.id, Answer(response.header.status.code, data if isinstance(data, dict) else {})
-
-
-def _asked(request: Any) -> tuple[int, int]:
-    return request.header.identity.id, request.header.identity.api_id
