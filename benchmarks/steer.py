@@ -138,9 +138,7 @@ def main() -> None:
     parser.add_argument("robots", nargs="*", default=["a1", "go2"])
     parser.add_argument("--minutes", type=float, default=30.0, help="of each case")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--gait", help="one period of an animal, by name or file"
-    )
+    parser.add_argument("--gait", help="one period of an animal, by name or file")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     rows = []

@@ -17,10 +17,10 @@ from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
 from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.track import (
     ScaledClip,
-    TrunkTrack,
     cycle_displacement,
     extract,
     pose_mismatch,
+    step_times,
     track_cycle,
     track_open,
 )
@@ -94,16 +94,15 @@ class Retargeting:
         self.detected = detect(self.activity, self.rate_hz, self.periodic, config.contact)
         if self.periodic:
             stands = all(leg and leg[0].duration >= self.n for leg in self.detected)  # no foot ever lifts off
-            self.track = self._cycle(np.zeros(3) if config.consistent and stands else None)
+            travels = not (config.consistent and stands)
+            self.track = track_cycle(self.source, self.n, config.trunk_hz, config.foot_hz, travels=travels)
         else:
             self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
 
     def change_velocity(self, velocity: Array) -> None:
         """Changes a cycle's mean velocity (3,): forwards, to the left, m/s, turning, rad/s. Its contacts stay."""
-        self.track = self._cycle(velocity * self.duration)
-
-    def _cycle(self, twist: Array | None) -> TrunkTrack:
-        return track_cycle(self.source, self.n, self.config.trunk_hz, self.config.foot_hz, twist)
+        steps = step_times(self.stances, self.n)
+        self.track = self.track.at_twist(velocity * self.duration, steps, self.robot.hip_pos_b[:, :2])
 
     def _activity(self) -> Array:
         """The feet's activity (n, 4), linear between frames."""

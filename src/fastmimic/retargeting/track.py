@@ -22,6 +22,7 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.clips.clip import Clip
+from fastmimic.motion.contacts import Stance, Stances
 from fastmimic.motion.motion import Motion
 
 
@@ -178,6 +179,46 @@ class TrunkTrack:
                 points_w = origin + rotate_planar(-angle, points_w - origin - step)
         return points_w
 
+    def at_twist(self, twist: Array, steps: Array, hips_b: Array) -> "TrunkTrack":
+        """A cycle that moves by `twist` (3,) instead of its own: forwards, to the left, m, turning, rad, in a period.
+        Each foot's path goes on as its `steps` (t, 4) from `step_times` do; `hips_b` (4, 2) are the feet's origins, m.
+
+        What the trunk does about its mean motion stays, and the feet under it in the middle of their stances: both are
+        taken from the frame that moves with the own mean twist, exp(share · ξ), to that which moves with the new one.
+        """
+        if self.cycle is None:
+            raise ValueError("a motion without a cycle has no mean twist")
+        n, own = len(self.heading), planar_log(self.cycle)
+        share = np.arange(n) / n
+        ahead = float(np.mean(self.heading - own[2] * share))
+        own[:2] = rotate_planar(self.heading[0] - ahead, own[:2])
+
+        def moved(points_w: Array, share: Array) -> Array:
+            (before, angle), (after, turned) = planar_exp(own, share), planar_exp(twist, share)
+            local = rotate_planar(-ahead - angle, points_w - self.root_xy[0]) - rotate_planar(-angle, before)
+            return self.root_xy[0] + rotate_planar(ahead, after + rotate_planar(turned, local))
+
+        feet = self.root_xy[:, None] + rotate_planar(self.heading[:, None], hips_b + self.toe_from_hip)
+        root, heading = moved(self.root_xy, share), self.heading + (twist[2] - own[2]) * share
+        toes = rotate_planar(-heading[:, None], moved(feet, steps / n) - root[:, None]) - hips_b
+        way = rotate_planar(ahead - self.heading[0], planar_exp(twist, np.ones(()))[0])
+        return replace(self, root_xy=root, heading=heading, toe_from_hip=toes, cycle=np.append(way, twist[2]))
+
+
+def step_times(stances: Stances, n: int) -> Array:
+    """How far the feet of a cycle of `n` samples are on their way (n, 4), samples: while one stands the middle of its
+    stance; while it swings from that to the next, from rest to rest."""
+    times = np.tile(np.arange(n, dtype=float)[:, None], 4)
+    for leg, spans in enumerate(stances):
+        later = [*spans[1:], *(Stance(first.touch_down + n, first.lift_off + n) for first in spans[:1])]
+        for now, then in zip(spans, later, strict=True):
+            index = np.arange(now.touch_down, then.touch_down)
+            share = np.clip((index + 1 - now.lift_off) / (then.touch_down + 1 - now.lift_off), 0.0, 1.0)
+            middle, going = 0.5 * (now.touch_down + now.lift_off), share**3 * (10 - 15 * share + 6 * share**2)
+            step = 0.5 * (then.touch_down + then.lift_off) - middle
+            times[index % n, leg] = middle + going * step - index // n * n
+    return times
+
 
 def steps(xy: Array, heading: Array, cycle: Array | None) -> tuple[Array, Array]:
     """To the next sample: the root's step (t, 2) in the heading frame, m, and the heading's turn (t,), rad. The last
@@ -241,21 +282,19 @@ def pose_mismatch(source: ScaledClip) -> float:
     return float(np.linalg.norm(closing_error(pose)) / max(spread, 1e-6))
 
 
-def track_cycle(
-    source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, twist: Array | None = None
-) -> TrunkTrack:
-    """A cycle on `n_out` samples, closed and low-passed; it moves by `twist` (3,) instead of its own way:
-    forwards, to the left, m, and turning, rad, at a constant rate.
+def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> TrunkTrack:
+    """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
 
     Planar motion is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)), where a
     cycle is periodic whether it turns or not. The closing error is spread evenly over the cycle, and the Fourier series
     closes position, velocity and acceleration.
     """
     n = len(source.root_xy)
-    own = planar_log(cycle_displacement(source))
+    cycle = cycle_displacement(source) if travels else np.zeros(3)
+    twist = planar_log(cycle)
     start, yaw0 = source.root_xy[0], source.heading[0]
 
-    def frame(share: Array, twist: Array = own) -> tuple[Array, Array]:
+    def frame(share: Array) -> tuple[Array, Array]:
         offset, angle = planar_exp(twist, share)
         return start + rotate_planar(yaw0, offset), yaw0 + angle
 
@@ -266,11 +305,10 @@ def track_cycle(
     origin, angle = frame(np.arange(n) / n)
     local_xy = smooth(rotate_planar(-angle, source.root_xy - origin), trunk_hz)
     local_yaw = smooth(source.heading - angle, trunk_hz)
-    twist = own if twist is None else twist
-    origin, angle = frame(np.arange(n_out) / n_out, twist)
+    origin, angle = frame(np.arange(n_out) / n_out)
     root_xy = origin + rotate_planar(angle, local_xy)
     heading = angle + local_yaw
-    end, end_angle = frame(np.ones(()), twist)
+    end, end_angle = frame(np.ones(()))
     displacement = end + rotate_planar(end_angle, local_xy[0]) - root_xy[0]
     dx, dy = rotate_planar(-heading[0], displacement)
     return TrunkTrack(
@@ -280,7 +318,7 @@ def track_cycle(
         tilt=smooth(source.tilt, trunk_hz),
         toe_from_hip=smooth(source.toe_from_hip, foot_hz),
         toe_height=np.maximum(smooth(source.toe_height, foot_hz), 0.0),
-        cycle=np.array([dx, dy, twist[2]]),
+        cycle=np.array([dx, dy, cycle[2]]),
     )
 
 
