@@ -39,7 +39,7 @@ from fastmimic.deploy.deployment import DeployOptions, deploy
 from fastmimic.deploy.driver import StateMessage, damping_command
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.log import DeploymentLog
-from fastmimic.deploy.sequence import MotionSequence, make_sequence
+from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import LinkFaults, SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.robot import Robot, load_robot
@@ -284,8 +284,9 @@ def lock_step(robot: Robot, sequence: MotionSequence, case: Case) -> dict[str, A
     options = DeployOptions(duration_s=MOTION_S)
     row: dict[str, Any] = {"name": case.name, "where": "lock step"}
     try:
+        follower = Follower(sequence)
         done = deploy(
-            sequence.motion, robot, driver, options, sequence=sequence, clock=clock, switch=switch, watch=watch
+            sequence.motion, robot, driver, options, follower=follower, clock=clock, switch=switch, watch=watch
         )
     except FastMimicError as error:
         return row | ended("refused", "", 2, str(error)) | {"fell": False, "log_complete": True}

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from fastmimic.robot import Robot, load_robot
+from fastmimic.steering.gait_field import GaitField, Grid, gait_field
 
 SKIPPED = "fastmimic/skipped"
 """Where the cache keeps the tests and files that the last run skipped."""
@@ -39,6 +40,12 @@ def robot() -> Robot:
 def a1(robot: Robot) -> Robot:
     """The A1, where a test has several robots."""
     return robot
+
+
+@pytest.fixture(scope="session")
+def gaits() -> GaitField:
+    """A field of few gaits of the A1, made once and then kept in the cache."""
+    return gait_field("a1", grid=Grid((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0)))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

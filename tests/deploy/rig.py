@@ -11,7 +11,7 @@ from fastmimic.deploy.computer import StopSwitch, VirtualClock
 from fastmimic.deploy.deployment import Deployment, DeployOptions, deploy
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage
 from fastmimic.deploy.safety import SafetyLimits
-from fastmimic.deploy.sequence import MotionSequence
+from fastmimic.deploy.sequence import Follower, MotionSequence
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.state_machine import StateMachine
 from fastmimic.robot import Robot
@@ -77,7 +77,7 @@ class Rig:
     """
 
     def __init__(self, robot: Robot, sequence: MotionSequence) -> None:
-        self.robot, self.sequence = robot, sequence
+        self.robot, self.sequence, self.follower = robot, sequence, Follower(sequence)
         self.clock = VirtualClock()
         self.switch = StopSwitch(stream=None)
         self.put_in(SimDriver(robot, self.clock))
@@ -97,7 +97,7 @@ class Rig:
             self.robot,
             self.driver,
             DeployOptions(limits=limits, **arguments),
-            sequence=self.sequence,
+            follower=self.follower,
             clock=self.clock,
             switch=self.switch,
             watch=watch,

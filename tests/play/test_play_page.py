@@ -26,7 +26,7 @@ from fastmimic.play.session import LiveSession
 from fastmimic.reference.motion_set import IN_PLACE
 from fastmimic.reference.standing import STAND
 from fastmimic.robot import Robot
-from fastmimic.steering.gait_field import Grid, gait_field
+from fastmimic.steering.gait_field import GaitField
 from fastmimic.viewer.viewer import HOST
 
 GAMEPAD = """
@@ -185,8 +185,7 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         page.close()
 
 
-def test_a_browser_steers(browser: Any) -> None:
-    gaits = gait_field("a1", grid=Grid((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0)))
+def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits)
 
     def wanted() -> list[float]:

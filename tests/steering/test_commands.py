@@ -9,7 +9,7 @@ import pytest
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.steering import commands
-from fastmimic.steering.commands import CommandSocket, read_twist
+from fastmimic.steering.commands import CommandScript, CommandSocket, read_twist
 
 
 @pytest.mark.parametrize(
@@ -38,22 +38,22 @@ def test_the_newest_message_counts_and_silence_stops(monkeypatch: pytest.MonkeyP
     receiver = CommandSocket(0)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        assert receiver.velocity() is None
+        assert receiver.velocity(0.0) is None
         for message in ({"linear": {"x": 0.2}}, {"linear": {"x": 0.7}, "angular": {"z": -1.0}}):
             sender.sendto(json.dumps(message).encode(), ("127.0.0.1", receiver.port))
         sender.sendto(b"noise", ("127.0.0.1", receiver.port))
         until = time.monotonic() + 5.0
         while receiver.refused == 0 and time.monotonic() < until:
-            found = receiver.velocity()
+            found = receiver.velocity(0.0)
         assert receiver.refused == 1
         assert found is not None
         np.testing.assert_array_equal(found, [0.7, 0.0, -1.0])
         now = time.monotonic()
         monkeypatch.setattr(commands.time, "monotonic", lambda: now + commands.LOST_S + 0.01)
-        silent = receiver.velocity()
+        silent = receiver.velocity(0.0)
         assert silent is not None
         assert not silent.any()
-        assert receiver.velocity() is None  # others may steer
+        assert receiver.velocity(0.0) is None  # others may steer
     finally:
         sender.close()
         receiver.close()
@@ -68,3 +68,33 @@ def test_a_port_that_is_taken_or_none() -> None:
         first.close()
     with pytest.raises(ConfigError, match="UDP port 70000 cannot be opened"):
         CommandSocket(70000)
+
+
+def test_a_script_has_a_velocity_from_each_time_on(tmp_path) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_text("time_s,forwards,left,turn\n0.5, 0.4, 0, -1\n2, 0, 0.1, 0\n")
+    script = CommandScript(path)
+    assert script.end_s == 2.0
+    assert script.velocity(0.49) is None
+    np.testing.assert_array_equal(script.velocity(0.5), [0.4, 0.0, -1.0])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(script.velocity(1.99), [0.4, 0.0, -1.0])  # type: ignore[arg-type]
+    np.testing.assert_array_equal(script.velocity(9.0), [0.0, 0.1, 0.0])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "time_s,forwards\n", "0,1,2\n", "0,1,2,x\n", "0,1,2,nan\n", "0,0,0,0\n0,1,0,0\n", "0,1,2,3\n1,2\n"]
+)
+def test_a_file_without_velocities_is_refused(text: str, tmp_path) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"commands\.csv has no velocities"):
+        CommandScript(path)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="has no velocities"):
+        CommandScript(path)
+    with pytest.raises(ConfigError, match="has no velocities"):
+        CommandScript(tmp_path / "nothing.csv")

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from fastmimic.deploy.deployment import Deployment
     from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.deploy.state_machine import StateMachine
+    from fastmimic.steering.commands import Commands
 
 EXIT_VIOLATION: Final = 3
 """Exit status: a safety limit was exceeded and the joints were damped."""
@@ -70,7 +71,7 @@ class Deploy:
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), the folder of a run, a clip, a name from 'fastmimic motions', or "stand". A stitched
-    motion runs once."""
+    motion runs once. "steer": the robot goes at the velocities of --udp or --commands."""
     driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {', '.join(DRIVERS)} (simulated).")]
     interface: Annotated[str | None, opt.option("NAME")] = None
     """Network interface of the robot. Default: lo, for a simulated one."""
@@ -105,6 +106,7 @@ class Deploy:
     """File of the log. Default: log.mcap in the folder."""
     json: opt.JsonFlag = False
     simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes]
+    steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
     clip: opt.ClipReading
 
     def run(self) -> int:
@@ -117,8 +119,8 @@ class Deploy:
         name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
         folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)
         log = folder / LOG if self.log is None else opt.check_writable(self.log, ENDING)
-        with open_deployment(folder):
-            found = self._deploy(robot, motion, limits, policy, log)
+        with self.steered.opened() as commands, open_deployment(folder):
+            found = self._deploy(robot, motion, limits, policy, log, commands)
         written = self._write(found, motion, folder)
         self._report(found, log)
         return self._status(found, written)
@@ -139,6 +141,7 @@ class Deploy:
         if self.driver not in DRIVERS:
             raise unknown("driver", self.driver, DRIVERS)
         opt.check_duration(self.duration)
+        self.steered.check(self.motion == opt.STEER, others_steer=False)
         if self.driver != SIM:
             for name in opt.given(self.simulated):
                 raise ConfigError(f"{name} is for '--driver sim', not for a robot on the wire")
@@ -154,7 +157,7 @@ class Deploy:
         """The driver's robot, and the motion for it."""
         from fastmimic.reference.standing import standing
 
-        source = None if self.motion == STAND else find_motion(self.motion)
+        source = None if self.motion in (STAND, opt.STEER) else find_motion(self.motion)
         driven = self.driver if self.driver in WIRED else None
         own = None if source is None else source.robot
         if driven is not None and own is not None and own != driven:
@@ -165,13 +168,25 @@ class Deploy:
             raise ConfigError(f"driver '{self.driver}' drives a {driven}, not '{self.robot}'; leave out --robot")
         robot = load_robot(self.robot or driven or own or opt.DEFAULT_ROBOT)
         if source is None:
-            for name in opt.given(self.clip):
-                raise ConfigError(f"{name} cannot be applied to '{STAND}'")
-            return robot, standing(robot)
+            steered = opt.given(self, "cycles", "policy") if self.motion == opt.STEER else []
+            for name in (*opt.given(self.clip), *steered):
+                raise ConfigError(f"{name} cannot be applied to '{self.motion}'")
+            stands = standing(robot)
+            return robot, replace(stands, provenance=replace(stands.provenance, name=self.motion))
         return robot, source.load(robot, **self.clip.overrides())
 
-    def _deploy(self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any, log: Path) -> "Deployment":
+    def _deploy(
+        self,
+        robot: Robot,
+        motion: Motion,
+        limits: "SafetyLimits",
+        policy: Any,
+        log: Path,
+        commands: "Commands | None",
+    ) -> "Deployment":
         from fastmimic.deploy.deployment import DeployOptions, deploy
+        from fastmimic.deploy.sequence import make_sequence
+        from fastmimic.deploy.steered_follower import SteeredFollower
 
         clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock()
         switch, ready, dry = StopSwitch(), None, self.dry_run
@@ -185,31 +200,37 @@ class Deploy:
                 driver, dry = self._simulated(robot, clock), False
             elif not dry and not self.yes:
                 ready = partial(_agreed, switch)
+        duration_s, endless = self.duration, self.endless
+        if commands is not None and duration_s is None and not endless:
+            duration_s, endless = commands.end_s, commands.end_s is None
         options = opt.apply(
             DeployOptions,
             self,
             policy=policy,
             solve_rate_hz=self.solve_rate,
             estimator=EstimatorConfig(foot_force=self.foot_force),
-            duration_s=self.duration,
+            duration_s=duration_s,
+            endless=endless,
             limits=limits,
             dry_run=dry,
             log=log,
             about={"driver": self.driver, "arguments": opt.recorded(self), "versions": versions()},
         )
-        doing = ""
+        follower, doing = None, ""
+        if commands is not None:
+            stands = make_sequence(robot, motion, options.controller(motion)[1])
+            follower = SteeredFollower(stands, self.steered.gaits(self.robot or robot.name), commands.velocity)
         with slow_start() as started:
 
             def watch(machine: "StateMachine", command: NDArray[Any]) -> None:
                 nonlocal doing
-                if machine.doing is not doing:
+                if machine.doing != doing:
                     started()
                     doing = machine.doing
                     note(doing)
 
-            return deploy(
-                motion, robot, driver, options, clock=clock, switch=switch, on_ready=ready, watch=watch, note=note
-            )
+            loop: dict[str, Any] = {"clock": clock, "switch": switch, "on_ready": ready, "watch": watch, "note": note}
+            return deploy(motion, robot, driver, options, follower=follower, **loop)
 
     def _simulated(self, robot: Robot, clock: Any) -> RobotDriver:
         from fastmimic.deploy.sim import LinkFaults, SimDriver

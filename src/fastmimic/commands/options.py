@@ -4,7 +4,8 @@ import dataclasses
 import inspect
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
@@ -29,6 +30,7 @@ from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
+    from fastmimic.steering.commands import Commands
     from fastmimic.steering.gait_field import GaitField
 
 DEFAULT_ROBOT: Final = "a1"
@@ -295,15 +297,44 @@ def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
     return load_robot(robot_name(robot, *sources))
 
 
-def gaits_of(robot: str | None, gait: str | None = None) -> "GaitField":
-    """The gaits with which a robot is steered, those of an animal if one is named; says how far it is when they are
-    made."""
-    from fastmimic.steering.gait_field import gait_field
+@dataclass(frozen=True, kw_only=True)
+class SteeredBy:
+    """With "steer" in place of a motion."""
 
-    name = robot or DEFAULT_ROBOT
-    clip = None if gait is None else find_motion(gait).open_clip(load_robot(name))
-    with count_progress("gaits made executable, once for this robot:") as progress:
-        return gait_field(name, clip, progress, workers=None)
+    gait: Annotated[str | None, option("CLIP")] = None
+    """One period of an animal's gait, by name or file. Default: a built-in trot."""
+    udp: Annotated[int | None, option("PORT")] = None
+    """UDP port of this machine to which velocities come, as JSON like ROS's geometry_msgs/Twist."""
+    commands: Annotated[Path | None, option("FILE.csv")] = None
+    """File of velocities. Each line: time, s, forwards, to the left, m/s, turning to the left, rad/s."""
+
+    @contextmanager
+    def opened(self) -> "Iterator[Commands | None]":
+        """Where the velocities come from, if from elsewhere."""
+        from fastmimic.steering.commands import CommandScript, CommandSocket
+
+        if self.udp is None:
+            yield None if self.commands is None else CommandScript(self.commands)
+            return
+        with closing(CommandSocket(self.udp)) as receiver:
+            yield receiver
+
+    def gaits(self, robot: str | None) -> "GaitField":
+        """The gaits of a robot, by name or file; says how far it is when they are made."""
+        from fastmimic.steering.gait_field import gait_field
+
+        name = robot or DEFAULT_ROBOT
+        clip = None if self.gait is None else find_motion(self.gait).open_clip(load_robot(name))
+        with count_progress("gaits made executable, once for this robot:") as progress:
+            return gait_field(name, clip, progress, workers=None)
+
+    def check(self, steers: bool, others_steer: bool = True) -> None:
+        """Raises `ConfigError` for options that nothing is steered by, or for too many or too few that say how."""
+        sources = given(self, "udp", "commands")
+        if not steers and (unused := given(self)):
+            raise ConfigError(f"{unused[0]} steers a robot; give '{STEER}' in place of a motion")
+        if steers and len(sources) != 1 and (sources or not others_steer):
+            raise ConfigError("velocities come from --udp PORT or from --commands FILE.csv: give one of them")
 
 
 def robot_name(robot: str | None, *sources: MotionSource) -> str:

@@ -2,14 +2,12 @@
 
 import signal
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Annotated
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
-from fastmimic.base.errors import ConfigError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import on_signal, slow_start
 from fastmimic.commands.pictures import serve
@@ -30,12 +28,9 @@ class Play:
     motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
     """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
     built-in gaits. "stand" and "in-place" are always available. "steer": the robot goes where keys, stick or sliders
-    point, forwards, sideways and turning, and stands when they are let go; with the gait of one period of an animal, by
-    name or file, or else a built-in trot."""
+    point, forwards, sideways and turning, and stands when they are let go."""
     robot: opt.RobotChoice = None
     port: opt.Port = 8080
-    udp: Annotated[int | None, opt.option("PORT")] = None
-    """With "steer": take velocities from this UDP port of this machine, too, as JSON like ROS's geometry_msgs/Twist."""
     method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
     config: opt.ConfigName = "default"
     observe: opt.Observation = "truth"
@@ -44,6 +39,7 @@ class Play:
     """Seed of sensor noise, disturbances and terrain."""
     ideal: opt.Ideal = False
     terrain: opt.TerrainName = None
+    steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
 
     def run(self) -> int:
         from fastmimic.viewer.viewer import free_port, require_viser
@@ -57,10 +53,9 @@ class Play:
         check_method(self.method)
         config = controller_config(self.config)
         conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb))
-        if self.motions[:1] == (opt.STEER,):
+        self.steered.check(self.motions == (opt.STEER,))
+        if self.motions == (opt.STEER,):
             return self._steered(config, conditions)
-        if self.udp is not None:
-            raise ConfigError(f"--udp steers a robot; play {opt.STEER}")
         sources = [find_motion(source) for source in self.motions or DEFAULTS]
         name = opt.robot_name(self.robot, *sources)
         robot = load_robot(name)
@@ -82,16 +77,12 @@ class Play:
         """A robot that is steered."""
         from fastmimic.play.page import PlayPage
         from fastmimic.play.session import LiveSession
-        from fastmimic.steering.commands import CommandSocket
 
-        _, *gait = self.motions
-        if len(gait) > 1:
-            raise ConfigError(f"a robot is steered with one gait, found {', '.join(gait)}")
-        with closing(CommandSocket(self.udp)) if self.udp is not None else nullcontext() as commands:
-            gaits = opt.gaits_of(self.robot, *gait)
+        with self.steered.opened() as commands:
+            gaits = self.steered.gaits(self.robot)
             with slow_start():
                 session = LiveSession(
                     gaits.robot, {}, method=self.method, config=config, conditions=conditions, gaits=gaits
                 )
             with PlayPage(session, f"{gaits.robot.name}, steered", self.port, commands) as page:
-                return serve(page, f"{opt.STEER} {' '.join(gait)}".strip(), self.port)
+                return serve(page, self.steered.gait or opt.STEER, self.port)

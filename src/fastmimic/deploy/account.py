@@ -58,7 +58,7 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     rows = [
         ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
         ("fell", "yes" if r["fell"] else "no"),
-        ("cycles", f"{r['cycles']:.1f}, {r['motion_s']:.1f} s"),
+        ("in motion", f"{number(r['cycles'], 1)} cycles, {r['motion_s']:.1f} s, {r['way_m']:.1f} m"),
         ("reward, estimated", number(r["reward_mean"], 3)),
     ]
     if r["reward_truth_mean"] is not None:

@@ -21,7 +21,7 @@ from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.log import PERIODS, ROW, TRUTH, DeploymentLog, LogWriter, Recorder, new_log_file
 from fastmimic.deploy.realtime_loop import Loop, LoopOutcome
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
-from fastmimic.deploy.sequence import MotionSequence, make_sequence
+from fastmimic.deploy.sequence import Follower, make_sequence
 from fastmimic.deploy.sim import TIPPED
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.episode.loop import MakeController
@@ -38,7 +38,8 @@ from fastmimic.robot.state import MEMORY
 from fastmimic.simulation.conditions import Conditions
 
 DEFAULT_S: Final = 10.0
-_MARGIN_S: Final = 30.0  # more than standing up, sitting down and damping take
+_WAY_S: Final = 0.5  # between the places of which the way is the sum
+_MARGIN_S: Final = 30.0  # more than standing up, blending in and out, sitting down and damping take
 _SCORED: Final = "reward_mean", "components", "swing_clearance_m"
 _COUNTED: Final = "drift_m_per_s", "early_contacts_per_s", "stance_slip_m"
 
@@ -118,7 +119,7 @@ def deploy(
     driver: RobotDriver,
     options: DeployOptions | None = None,
     *,
-    sequence: MotionSequence | None = None,
+    follower: Follower | None = None,
     clock: LoopClock | None = None,
     switch: StopSwitch | None = None,
     on_ready: Callable[[], bool] | None = None,
@@ -130,7 +131,7 @@ def deploy(
     Args:
         motion: a cyclic motion, or a stitched one, which runs once.
         driver: not yet open; it is closed at the end.
-        sequence: of this motion and controller, if already made.
+        follower: of this motion and controller, if already made; or of a robot that is steered, which stands before.
         clock: the computer's if None. A simulated robot must have the same.
         switch: the operator's stop; keys and signals if None.
         on_ready: called when states arrive, before the first command; False cancels.
@@ -148,10 +149,9 @@ def deploy(
     limits = options.limits if options.limits is not None else SafetyLimits.of(robot)
     rate_hz = config.rate_hz
     guard = Guard(robot, limits, rate_hz, dry=options.dry_run)
-    sequence = sequence if sequence is not None else make_sequence(robot, motion, config)
-    machine = StateMachine(robot, sequence, guard, config, estimator=options.estimator, policy=options.policy)
-    around = sequence.blend_in.last + sequence.blend_out.last + sequence.motion.n_samples
-    planned_s = around / rate_hz + _MARGIN_S + seconds
+    follower = follower if follower is not None else Follower(make_sequence(robot, motion, config))
+    machine = StateMachine(robot, follower, guard, config, estimator=options.estimator, policy=options.policy)
+    planned_s = motion.period_s + _MARGIN_S + seconds
     recorder = Recorder(ROW, round(min(planned_s, options.logged_s) * rate_hz))
     clock = clock if clock is not None else LoopClock()
     asked = options.real_time
@@ -161,6 +161,7 @@ def deploy(
         "robot": robot.name,
         "motion": motion.name,
         "driver": type(driver).__name__,
+        "steered": follower.steered,
         "method": method,
         "config": config.as_dict(),
         "latency_s": machine.estimator.config.latency_s,
@@ -215,11 +216,12 @@ class ScoredLog:
 def score_log(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: NDArray[Any] | None = None
 ) -> ScoredLog | None:
-    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none.
-    `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of the log, the estimate if
-    None. The reference starts as the controller's did and is then synchronised to these states."""
+    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none, or
+    the robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of
+    the log, the estimate if None. The reference starts as the controller's did and is then synchronised to these
+    states."""
     motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
-    if not len(rows):
+    if log.meta.get("steered") or not len(rows):
         return None
     seen = log.rows["estimate"] if observation is None else observation
     if len(seen) != len(log.rows):
@@ -249,6 +251,8 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
     """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate. Raises
     `DeploymentError` if the robot did not reach the motion."""
     scored = score_log(robot, log, config, log.truth)
+    if log.meta.get("steered"):
+        raise DeploymentError("the robot was steered: there is no motion to score it against")
     if scored is None:
         raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
     conditions = Conditions(observe="sensors")
@@ -258,9 +262,9 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
 def figures(scored: ScoredLog | None) -> dict[str, Any]:
     """The figures, JSON-serialisable; each None where nothing is scored."""
     if scored is None:
-        return {"reward_mean": None, "components": None, "swing_clearance_m": None, "motion_s": 0.0}
+        return {"reward_mean": None, "components": None, "swing_clearance_m": None}
     found = Metrics.of(scored.rollout).as_dict()
-    return {name: found[name] for name in (*_SCORED, *_COUNTED)} | {"motion_s": scored.rollout.duration_s}
+    return {name: found[name] for name in (*_SCORED, *_COUNTED)}
 
 
 def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
@@ -294,7 +298,8 @@ def result_of(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, outcome: LoopOutcome, periods: int
 ) -> dict[str, Any]:
     """All figures of a deployment of so many `periods`, JSON-serialisable."""
-    rows = log.rows
+    rows, inside = log.rows, log.rows["in_motion"]
+    places = (rows["estimate"] if log.truth is None else log.truth)["root_pos"][inside][:: round(_WAY_S * log.rate_hz)]
     true = None if log.truth is None else score_log(robot, log, config, log.truth)
     truly = figures(true)
     followed, sent = rows[rows["phase"] == DeploymentPhase.FOLLOW], rows[rows["sent"]]
@@ -324,7 +329,9 @@ def result_of(
         "commands_cut": int((rows["cut"] > 0).sum()),
         "foot_force": log.meta["foot_force"],
         "log_ends": None,
-        "cycles": float(rows["in_motion"].sum() / log.motion.n_samples),
+        "cycles": None if log.meta.get("steered") else float(inside.sum() / log.motion.n_samples),
+        "motion_s": float(inside.sum() / log.rate_hz),
+        "way_m": float(np.hypot(*np.diff(places[:, :2], axis=0).T).sum()),
         **figures(score_log(robot, log, config)),
         "reward_truth_mean": truly["reward_mean"],
         "swing_clearance_truth_m": truly["swing_clearance_m"],

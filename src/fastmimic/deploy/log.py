@@ -66,6 +66,7 @@ ROW: Final = np.dtype(
         *((name, "i8") for name in ("sequence", *_COUNTED, "sample")),
         ("origin", "f8", (3,)),
         ("haste", "f8"),
+        ("wanted", "f8", (3,)),
         ("reading", READING),
         ("estimate", OBSERVATION),
         ("command", COMMAND),
@@ -81,10 +82,10 @@ ROW: Final = np.dtype(
 )
 """One period: its start since the run's start, and its delay; durations of reading, control and writing, and from the
 state's arrival to the command's departure; the state's age and sequence number; packets received, lost, rejected and
-foreign, and periods missed and skipped, since the run's start; the reference's sample, origin and haste; state,
-estimate, command; commanded ground reaction forces (heading frame, N), planning time and counts; how many numbers of
-the command were cut; the `DeploymentPhase`; whether the state was new, the robot in the motion itself, and the command
-sent; stance legs."""
+foreign, and periods missed and skipped, since the run's start; the reference's sample, origin and haste, and the
+velocity wanted of it, if it is steered; state, estimate, command; commanded ground reaction forces (heading frame, N),
+planning time and counts; how many numbers of the command were cut; the `DeploymentPhase`; whether the state was new,
+the robot in the motion itself, and the command sent; stance legs."""
 
 GROUND_TRUTH: Final = np.dtype(
     [

@@ -211,6 +211,7 @@ class Loop:
         row["rejected"], row["foreign"] = packets.rejected - before.rejected, packets.foreign - before.foreign
         row["missed"], row["skipped"] = self._misses, self._skipped
         row["sample"], row["origin"], row["haste"] = clock["sample"], clock["origin"], memory["haste"]
+        row["wanted"] = machine.follower.wanted
         row["reading"], row["estimate"], row["command"] = state.reading[0], machine.observation[0], command[0]
         row["sent"], row["cut"], row["stance"] = sent, self._guard.cut, memory["stance"]
         row["force"], row["solve_s"] = memory["force"], memory["solve_time"]

@@ -1,28 +1,26 @@
-"""The motion sequence from standing to standing: blend in, the motion, blend out, as reference tables.
+"""The motion sequence from standing to standing: blend in, the motion, blend out.
 
 Blending in stands, steps in place and enters the motion by the transitions of `fastmimic.reference`; blending out
-reverses this. All tables are made before the first command; the motion's is that of every closed loop. A passage is
+reverses this. All are made before the first command; the motion's table is that of every closed loop. A passage is
 entered and left by the strides with which it begins and ends, as cycles.
 """
 
-import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
-from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
+from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
-from fastmimic.control.controller import constant_gains_of, gains_of
+from fastmimic.control.controller import gains_of
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import CourseTransition, course_of
+from fastmimic.reference.course import CourseTransition
+from fastmimic.reference.live_reference import LiveReference
 from fastmimic.reference.motion_set import MotionSet
-from fastmimic.reference.standing import STAND, standing
-from fastmimic.reference.stream import Stream, make_place
+from fastmimic.reference.standing import STAND
 from fastmimic.reference.table import (
     CLOCK,
     SAMPLE,
@@ -37,7 +35,6 @@ from fastmimic.stitching.transition import Layout
 
 STAND_S: Final = 1.0  # standing under the controller at start and end
 _SAME_POSTURE: Final = 0.05
-_VECTORS: Final = ("lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc")
 LEAST_S: Final = 1.0  # of a passage with room for a stride at either end
 _STRIDES_S: Final = (0.3, 1.5)  # shortest and longest stride
 _NEARLY: Final = 1.3
@@ -49,81 +46,113 @@ _RESTS_S: Final = 0.2  # standing on all feet for so long is rest
 
 
 @dataclass(frozen=True, eq=False)
-class SequencePart:
-    """A part of the sequence; if its clock repeats, it ends after `Follower.leaving` is set."""
-
-    text: str  # what the robot does in it
-    table: NDArray[Any]  # (1, t) of `SAMPLE`
-    first: int  # sample
-    last: int  # sample; in a cyclic motion it may be below `first`
-    clock: NDArray[Any]  # (1,) of `CLOCK`, at the table's start
-    gains: NDArray[Any]  # (1, g) of `GAINS`, those of the table's samples
-
-
-@dataclass(frozen=True, eq=False)
 class MotionSequence:
-    """From standing to standing: the motion, its three parts, and `stand`, (12,) standing joints in rad."""
+    """From standing to standing. The `library` has the way from standing to its motion `start`, whose row `enters` is
+    sample `first` of the `motion` itself, and from row `leaves` of its motion `end`, sample `last`, to standing; in a
+    cyclic motion `last` may be below `first`. `table` (1, t) of `SAMPLE` and `gains` (g,) of `GAINS` are the
+    motion's, `text` says what the robot does of it, and `stand` (12,) are the standing joints, rad."""
 
     motion: Motion
-    blend_in: SequencePart
-    main: SequencePart
-    blend_out: SequencePart
-    stand: Array
-
-
-class _CourseSlice(NamedTuple):
-    """Rows `first` to `last`, exclusive, of a cyclic course; `last` may be beyond its end."""
-
-    course: NDArray[Any]
+    text: str
+    table: NDArray[Any]
     gains: NDArray[Any]
     first: int
     last: int
+    library: MotionSet
+    start: str
+    enters: int
+    end: str
+    leaves: int
+    stand: Array
+    ahead: int  # rows of the reference that the controller looks at
 
 
 class Follower:
-    """The position in a sequence, `clock` (1,) of `CLOCK` in `table` (t,) of `SAMPLE`. `steps` counts control steps in
-    the motion itself; `leaving`: it ends at its next last sample; `done`: blending out has ended."""
+    """The position in a sequence: `clock` (1,) of `CLOCK` in `tables` (1, t) of `SAMPLE` with `gains` (1, g) of
+    `GAINS`; in words, `text`. `steps` counts control steps in the motion itself, that is while `in_motion`; `leaving`:
+    the motion ends at its next last sample; `done`: the robot stands again. `wanted` (3,) is the velocity of a robot
+    that is `steered` instead."""
+
+    steered = False
 
     def __init__(self, sequence: MotionSequence) -> None:
-        self.sequence = sequence
+        self.sequence, self.wanted = sequence, np.zeros(3)
+        self._live = LiveReference(sequence.library.robot, sequence.library, sequence.motion.rate_hz, STAND)
+        self._rows, self._at_row = np.zeros((1, sequence.ahead), SAMPLE), np.zeros(1, CLOCK)
         self.begin(np.zeros(3))
 
     def begin(self, pose: Array) -> None:
         """Starts where the robot stands: (3,) x, y, yaw in the world, m and rad."""
-        self.steps, self.leaving, self.done = 0, False, False
-        self.enter(self.sequence.blend_in, pose)
+        self.steps, self.leaving, self.done, self._left = 0, False, False, False
+        self._go_live(STAND, pose, 0)
 
     @property
-    def in_motion(self) -> bool:
-        """Whether the current part is the motion itself."""
-        return self.part is self.sequence.main
+    def table(self) -> NDArray[Any]:
+        """The present one, (t,) of `SAMPLE`."""
+        return self.tables[0]
 
-    def advance(self, observation: NDArray[Any], haste: Array) -> bool:
-        """Advances by one control step; returns whether another part has begun. Where a cycle starts, x and y are set
-        by the `observation` (1,) of `OBSERVATION`. `haste` (1,) is the controller's; a part is left in its own time."""
+    @property
+    def text(self) -> str:
+        name = self.sequence.motion.name
+        return self.sequence.text if self.in_motion else f"blending {'out of' if self._left else 'into'} {name}"
+
+    def advance(self, observation: NDArray[Any], memory: NDArray[Any]) -> bool:
+        """Advances by one control step; returns whether the motion itself has begun or ended. Where a cycle starts, x
+        and y are set by the `observation` (1,) of `OBSERVATION`. The haste is that of the controller's `memory` (1,) of
+        `MEMORY`; the motion is left in its own time."""
         if self.done:
             return False
-        way, part = self.sequence, self.part
-        if part is way.main:
+        if self.in_motion:
             self.steps += 1
-        if (int(self.clock["sample"][0]) + 1) % part.table.shape[1] == part.last:
-            haste = np.minimum(haste, 0.0)
-        advance_clocks(self.clock, part.table, observation["root_pos"], haste)
-        sample = int(self.clock["sample"][0])
-        if part is way.blend_out:
-            self.done = sample >= part.last
-            return False
-        left = sample == part.last and (self.leaving or not part.clock["repeats"][0])
-        if left:
-            following = way.main if part is way.blend_in else way.blend_out
-            position, quat = world_root(part.table[0], self.clock["sample"], self.clock["origin"])
-            self.enter(following, np.array([*position[0, :2], yaw_from_quat(quat)[0]]))
-        return left
+            return self.advance_motion(observation, memory)
+        way, live = self.sequence, self._live
+        if live.motion == STAND:
+            self._stood += 1
+            if self._stood > STAND_S * way.motion.rate_hz:
+                live.switch(STAND if self._left else way.start)
+                self.done = self._left
+        live.update()
+        live.advance(observation["root_pos"][0, :2], float(memory["haste"][0]))
+        if not self._left and live.goal == live.motion == way.start and self._stood > STAND_S * way.motion.rate_hz:
+            passed = 0 if way.start == STAND else round(float(live.place["position"][0])) - way.enters
+            self.enter_motion(live.place["pose"][0], passed)
+            return True
+        self._show_live()
+        return False
 
-    def enter(self, part: SequencePart, pose: Array) -> None:
-        """Begins a part with its first sample's root at (3,) x, y, yaw in the world, m and rad."""
-        self.part, self.table, self.clock = part, part.table[0], part.clock.copy()
-        place_clocks(self.clock, np.array([part.first]), self.table, pose[None])
+    def enter_motion(self, pose: Array, passed: int = 0) -> None:
+        """Begins the motion itself, so many samples after its first, with its root at (3,) x, y, yaw in the world."""
+        way = self.sequence
+        self.in_motion, self.tables, self.gains = True, way.table, way.gains[None]
+        self.clock = make_clocks(way.motion, 1)
+        place_clocks(self.clock, np.array([(way.first + passed) % way.motion.n_samples]), self.table, pose[None])
+
+    def advance_motion(self, observation: NDArray[Any], memory: NDArray[Any]) -> bool:
+        """A control step in the motion itself; returns whether it has ended."""
+        way, clock, haste = self.sequence, self.clock, memory["haste"]
+        if (int(clock["sample"][0]) + 1) % way.motion.n_samples == way.last:
+            haste = np.minimum(haste, 0.0)
+        advance_clocks(clock, self.tables, observation["root_pos"], haste)
+        ended = bool(clock["sample"][0] == way.last and (self.leaving or not clock["repeats"][0]))
+        if ended:
+            position, quat = world_root(self.table, clock["sample"], clock["origin"])
+            self.leave_motion(np.array([*position[0, :2], yaw_from_quat(quat)[0]]))
+        return ended
+
+    def leave_motion(self, pose: Array) -> None:
+        """Begins to blend out, with the root at (3,) x, y, yaw in the world."""
+        self._left = True
+        self._go_live(self.sequence.end, pose, self.sequence.leaves)
+
+    def _go_live(self, name: str, pose: Array, row: int) -> None:
+        self.in_motion, self.tables, self.clock, self._stood = False, self._rows, self._at_row, 0
+        self._live.begin(name, pose, row)
+        self._live.switch(STAND)
+        self._show_live()
+
+    def _show_live(self) -> None:
+        self._live.fill(self.table)
+        self.clock["origin"], self.gains = self._live.place["pose"], self._live.gains[None]
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
@@ -131,44 +160,31 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     controller's, which may plan ahead. Raises `MotionError` for another robot or rate, or without a transition from or
     to standing."""
     (first, first_shift), (last, last_shift) = _ends(robot, motion, config.rate_hz)
+    table, own, ahead = reference_table(motion, robot)[None], gains_of(motion, robot, config), config.samples_ahead
     if motion.contact.all():
-        return _standing(robot, motion, config)
+        library = MotionSet(robot, {}, config.rate_hz, regulator=config.regulator)
+        stand = _standing_joints(library, motion)
+        return MotionSequence(motion, motion.name, table, own, 0, 0, library, STAND, 0, STAND, 0, stand, ahead)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
     library = MotionSet(robot, {start: first, end: last}, config.rate_hz, regulator=config.regulator)
-    ahead = config.samples_ahead
-    hold = max(1, round(STAND_S * config.rate_hz))
-    stand = library.entry(STAND)
+    enters = _way(library, STAND, start)[-1].arrive
+    arrive = (enters + first_shift) % first.n_samples
 
-    hops = _way(library, STAND, start)
-    whole = course_of(motion, robot)
-    arrive = (hops[-1][1].arrive + first_shift) % first.n_samples
-    blend_in = _slices(library, STAND, hops, 0, hold)
-    own = gains_of(motion, robot, config)
-    blend_in.append(_CourseSlice(whole, own, arrive, arrive + ahead))
-    table, gains, at = _table(robot, blend_in, config)
-    into = _blending("into", motion, table, gains, at[-1])
-
-    hops = _way(library, end, STAND)
     n = last.n_samples
     # early enough for a controller that plans ahead to see the transition
-    begins = (hops[0][1].leave - ahead) % n
+    leaves = _way(library, end, STAND)[0].leave - ahead
+    begins = leaves % n
     ends = begins
     if motion.target.parts:
         begins, ends = (motion.n_samples - 1 - last_shift) % n, motion.n_samples - 1
     elif motion.cycle is None:  # within its last stride
-        begins = max(0, hops[0][1].leave % n - ahead)
+        begins = max(0, (leaves + ahead) % n - ahead)
         ends = last_shift + begins
-    blend_out = _slices(library, end, hops, begins, 0)
-    blend_out.append(_CourseSlice(stand.course, stand.gains, hops[-1][1].arrive, hops[-1][1].arrive + hold + ahead))
-    table, gains, at = _table(robot, blend_out, config)
-    out = _blending("out of", motion, table, gains, at[-1] + hold)
-
     text = motion.name
     if motion.cycle is None and not motion.target.parts:
         text = _passage(motion, arrive, ends)
-    clock = make_clocks(motion, 1)
-    main = SequencePart(text, reference_table(motion, robot)[None], arrive, ends, clock, own[None])
-    return MotionSequence(motion, into, main, out, np.array(stand.motion.joint_pos[0]))
+    stand = np.array(library.entry(STAND).motion.joint_pos[0])
+    return MotionSequence(motion, text, table, own, arrive, ends, library, start, enters, end, begins, stand, ahead)
 
 
 def _passage(motion: Motion, first: int, last: int) -> str:
@@ -182,23 +198,16 @@ def _passage(motion: Motion, first: int, last: int) -> str:
     return f"{motion.name} from {begins:.2f} s to {ends:.2f} s of {motion.period_s:.2f} s"
 
 
-def _standing(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:
-    """The sequence of a standing motion; raises `MotionError` if it does not begin and end in the standing posture."""
-    hold = max(1, round(STAND_S * config.rate_hz))
-    stand = standing(robot)
-    off = float(np.abs(motion.joint_pos[[0, -1]] - stand.joint_pos[0]).max())
+def _standing_joints(library: MotionSet, motion: Motion) -> Array:
+    """Those of standing (12,), rad; raises `MotionError` if a standing motion does not begin and end there."""
+    stand = library.entry(STAND).motion.joint_pos[0]
+    off = float(np.abs(motion.joint_pos[[0, -1]] - stand).max())
     if off > _SAME_POSTURE:
         raise MotionError(
             f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the standing posture:"
             " the robot cannot reach it without a step"
         )
-    course = course_of(stand, robot)
-    gains = gains_of(stand, robot, config)
-    table, gains, _ = _table(robot, [_CourseSlice(course, gains, 0, hold + config.samples_ahead)], config)
-    into, out = _blending("into", motion, table, gains, hold), _blending("out of", motion, table, gains, hold)
-    clock, own = make_clocks(motion, 1), gains_of(motion, robot, config)
-    main = SequencePart(motion.name, reference_table(motion, robot)[None], 0, 0, clock, own[None])
-    return MotionSequence(motion, into, main, out, stand.joint_pos[0].copy())
+    return np.array(stand)
 
 
 def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, int]]:
@@ -223,74 +232,17 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
 
 
-def _way(library: MotionSet, start: str, goal: str) -> list[tuple[str, CourseTransition]]:
-    """The motions and transitions from one motion of the set to another."""
-    hops: list[tuple[str, CourseTransition]] = []
+def _way(library: MotionSet, start: str, goal: str) -> list[CourseTransition]:
+    """The transitions from one motion of the set to another; they are made now."""
+    hops: list[CourseTransition] = []
     now = start
     while now != goal:
         hop = library.next_hop(now, goal)
         if hop is None or len(hops) > len(library.names):
             raise MotionError(f"no way was found from '{start}' to '{goal}'")
-        hops.append(hop)
-        now = hop[0]
+        now, transition = hop
+        hops.append(transition)
     return hops
-
-
-def _slices(
-    library: MotionSet, start: str, hops: list[tuple[str, CourseTransition]], first: int, hold: int
-) -> list[_CourseSlice]:
-    """The slices of `hops`, from row `first` of the first motion, which lasts at least `hold` rows."""
-    found, name, row, least = [], start, first, hold
-    for following, transition in hops:
-        entry = library.entry(name)
-        n = len(entry.course)
-        last = row + (transition.leave - row) % n
-        last += n if last == row else 0
-        last += n * math.ceil(max(0, least - (last - row)) / n)
-        found.append(_CourseSlice(entry.course, entry.gains, row, last))
-        found.append(_CourseSlice(transition.course, transition.gains, transition.first, transition.last))
-        name, row, least = following, transition.arrive, 0
-    return found
-
-
-def _table(
-    robot: Robot, slices: list[_CourseSlice], config: ControllerConfig
-) -> tuple[NDArray[Any], NDArray[Any], list[int]]:
-    """Consecutive slices as a table (t,) of `SAMPLE` from the heading frame of row 0, its gains (g,), each's start."""
-    stream, place, row = Stream(robot, config.rate_hz), make_place(), np.zeros(1, SAMPLE)
-    rows: list[Any] = []
-    poses: list[Array] = []
-    begins: list[int] = []
-    pose, known = np.zeros(3), 0
-    for piece, following in pairwise([*slices, slices[-1]]):
-        course = piece.course
-        n = len(course)
-        begins.append(len(rows))
-        for i in range(piece.first, piece.last):
-            at = i % n
-            place["position"] = at
-            # interpolation looks a few rows beyond the end, into what follows
-            place["exit"] = at + piece.last - i if piece is not following else -1
-            place["entry"] = following.first % len(following.course)
-            stream.fill(course, following.course, place, row)
-            row["sync"], row["gain"] = course["sync"][at], course["gain"][at] + known
-            rows.append(row[0].copy())
-            poses.append(pose.copy())
-            pose[:2] += rotate_planar(float(pose[2]), course["step"][at])
-            pose[2] += course["turn"][at]
-        known += len(piece.gains)
-    table, where = np.array(rows, SAMPLE), np.array(poses)
-    table["root_pos"][:, :2] = where[:, :2]
-    table["root_quat"] = quat_multiply(quat_from_yaw(where[:, 2]), table["root_quat"])
-    for name in _VECTORS:
-        table[name][:, :2] = rotate_planar(where[:, 2], table[name][:, :2])
-    if config.stance.feedback == "constant":
-        return table, constant_gains_of(config.stance), begins
-    return table, np.concatenate([piece.gains for piece in slices]), begins
-
-
-def _blending(way: str, motion: Motion, table: NDArray[Any], gains: NDArray[Any], last: int) -> SequencePart:
-    return SequencePart(f"blending {way} {motion.name}", table[None], 0, last, np.zeros(1, CLOCK), gains[None])
 
 
 def first_stride(motion: Motion) -> tuple[Motion, int]:

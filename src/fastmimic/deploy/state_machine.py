@@ -13,7 +13,7 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import Controller
 from fastmimic.deploy.plausibility import LEAN_S, Lean, LoadCheck
 from fastmimic.deploy.safety import Guard, StopReason, Violation
-from fastmimic.deploy.sequence import Follower, MotionSequence
+from fastmimic.deploy.sequence import Follower
 from fastmimic.episode.loop import LoopController, MakeController
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.estimation.estimator import START, Estimator
@@ -59,7 +59,7 @@ class StateMachine:
     def __init__(
         self,
         robot: Robot,
-        sequence: MotionSequence,
+        follower: Follower,
         guard: Guard,
         config: ControllerConfig,
         *,
@@ -67,15 +67,18 @@ class StateMachine:
         policy: MakeController | None = None,
     ) -> None:
         """`policy` makes the controller of the motion itself; the model-based one, of `config`, blends in and out."""
-        motion = sequence.motion
-        self.robot, self.sequence, self.guard = robot, sequence, guard
+        sequence = follower.sequence
+        self.robot, self.follower, self.sequence, self.guard = robot, follower, sequence, guard
         self.dt = 1.0 / config.rate_hz
-        self._model_based = Controller(robot, [motion], 1, config)
-        self._own: LoopController = self._model_based if policy is None else policy(robot, motion.target, 1, config)
+        self._model_based = Controller(robot, [sequence.motion], 1, config)
+        if follower.steered:
+            self._model_based.recover_with(None)  # recovery steps would be another gait
+        own = None if policy is None else policy(robot, sequence.motion.target, 1, config)
+        self._regulated = config.stance.feedback == "regulator"
+        self._own: LoopController = self._model_based if own is None else own
         self.controller: LoopController = self._model_based
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         self.observation = self.estimator.observation
-        self.follower = Follower(sequence)
         self._path, _ = rising_path(robot, sequence.stand)
         self._folded_feet, self._standing_feet = foot_positions(robot, self._path[[0, -1]])
         self._stiffness, self._damping = standing_gains(robot)
@@ -103,17 +106,17 @@ class StateMachine:
     def warm_up(self, reading: NDArray[Any], rehearse: Callable[[], bool] | None = None) -> None:
         """Runs all phases once to compile and cache everything, then steps of the motion while `rehearse` says so, and
         begins again."""
-        way, guard = self.sequence, self.guard
+        follower, guard = self.follower, self.guard
         self.guard = Guard(self.robot, guard.limits, 1.0 / self.dt, dry=True)
         for phase in DeploymentPhase:
             if phase.lasts_s:
                 self._estimating = False
                 self._go(phase, reading)
                 self.step(reading)
-        for part in (way.blend_in, way.blend_out, way.main):
+        for begin in (follower.begin, follower.leave_motion, follower.enter_motion):
             self._start_estimating(reading)
             self._start_following()
-            self.follower.enter(part, np.zeros(3))
+            begin(np.zeros(3))
             self._switch_controller()
             self.phase = DeploymentPhase.FOLLOW
             for _ in range(_WARM_UP):
@@ -126,7 +129,7 @@ class StateMachine:
     @property
     def doing(self) -> str:
         """The current phase, or the part of the sequence, in words."""
-        return self.follower.part.text if self.phase is DeploymentPhase.FOLLOW else self.phase.text
+        return self.follower.text if self.phase is DeploymentPhase.FOLLOW else self.phase.text
 
     @property
     def in_motion(self) -> bool:
@@ -178,7 +181,7 @@ class StateMachine:
     def _follow(self) -> NDArray[Any]:
         """The controller's command; after the last one, the phase is `SIT`."""
         observation, follower = self.observation, self.follower
-        if follower.advance(observation, self.controller.memory["haste"]):
+        if follower.advance(observation, self.controller.memory):
             self._switch_controller()
         self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
         if self.violation is None and not self.guard.dry:  # in a dry run the legs bear nothing
@@ -189,6 +192,8 @@ class StateMachine:
             self._keep_torques(observation["joint_pos"][0])
             self.phase, self._steps = DeploymentPhase.SIT, 0
             return self._command
+        if self._regulated:
+            self._model_based.gains = follower.gains
         command = self.controller.step(observation, follower.clock)
         failed = int(self.controller.memory["failed_in_a_row"][0])
         self.violation = self.guard.check_number(StopReason.QP_FAILURE, failed)
@@ -282,14 +287,13 @@ class StateMachine:
     def _start_following(self) -> None:
         root, yaw = self.observation["root_pos"][0], float(yaw_from_quat(self.observation["root_quat"][0]))
         self.follower.begin(np.array([root[0], root[1], yaw]))
-        self._switch_controller()
+        self._switch_controller(begins=True)
 
-    def _switch_controller(self) -> None:
+    def _switch_controller(self, begins: bool = False) -> None:
         """Chooses the controller of the current part, with the part's table."""
         follower = self.follower
         chosen = self._own if follower.in_motion else self._model_based
-        begins = follower.part is self.sequence.blend_in
-        chosen.tables, self._model_based.gains = follower.part.table, follower.part.gains
+        chosen.tables = follower.tables
         if chosen is not self.controller or begins:
             self.controller = chosen
             chosen.reset(follower.clock["sample"])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fastmimic.base.errors import FastMimicError
-from fastmimic.play.live_reference import FRICTION
+from fastmimic.play.live_world import FRICTION
 from fastmimic.play.session import playable_methods
 from fastmimic.steering.steered import Steered
 from fastmimic.viewer import panel

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import viser
 
     from fastmimic.play.session import LiveSession, Snapshot
-    from fastmimic.steering.commands import CommandSocket
+    from fastmimic.steering.commands import Commands
 
 CHUNK_S: Final = 0.01  # between checks of the clock, at least
 MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
@@ -46,7 +46,7 @@ class Pacer:
     session elsewhere. `pace` is simulated time per second, ≤ 1; `realtime_factor` the share reached in `WINDOW_S`. The
     velocities that come to `commands` steer the session."""
 
-    def __init__(self, session: "LiveSession", commands: "CommandSocket | None" = None) -> None:
+    def __init__(self, session: "LiveSession", commands: "Commands | None" = None) -> None:
         self.session, self._commands = session, commands
         self.lock = threading.RLock()
         self.paused = False
@@ -70,7 +70,7 @@ class Pacer:
     def advance(self, passed_s: float, record: Callable[[], None] | None = None, every: int = 1) -> int:
         """Takes the steps due after this much more real time; returns their number."""
         dt = self.session.dt
-        if self._commands is not None and (velocity := self._commands.velocity()) is not None:
+        if self._commands is not None and (velocity := self._commands.velocity(self.session.time_s)) is not None:
             self.session.steer(velocity)
         self._debt_s = min(self._debt_s + passed_s * self.pace, MOST_BEHIND_S)
         steps = int(self._debt_s / dt + 1e-9)
@@ -204,7 +204,7 @@ class PlayPage(WebPage):
         session: "LiveSession",
         heading: str,
         port: int = DEFAULT_PORT,
-        commands: "CommandSocket | None" = None,
+        commands: "Commands | None" = None,
     ) -> None:
         super().__init__(port)
         self.session = session

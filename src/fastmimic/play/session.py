@@ -24,7 +24,8 @@ from fastmimic.episode.reward import REWARD_TERMS, Scorer
 from fastmimic.estimation.estimator import START
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.play.live_reference import GettingUp, GettingUpPhase, LiveReference, LiveWorld
+from fastmimic.play.live_world import GettingUp, GettingUpPhase, LiveWorld
+from fastmimic.reference.live_reference import LiveReference
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet, in_place
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.reference.table import CLOCK, SAMPLE

@@ -1,10 +1,11 @@
-"""Velocities from another program, by UDP."""
+"""Velocities from another program, by UDP, or from a file."""
 
 import json
 import math
 import socket
 import time
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -14,12 +15,50 @@ from fastmimic.base.errors import ConfigError
 LOST_S: Final = 0.5
 """Without a command for so long, the robot is to stand."""
 _MOST_BYTES: Final = 2048
+_MOST_MESSAGES: Final = 20  # read at once
+
+
+class Commands(Protocol):
+    """Where a steered robot's velocities come from, until `end_s`, or for ever."""
+
+    end_s: float | None
+
+    def velocity(self, time_s: float) -> Array | None:
+        """That wanted (3,) since so many seconds after the start: forwards, to the left, m/s, turning to the left,
+        rad/s. None if there is none: others may steer."""
+
+
+class CommandScript:
+    """Velocities from a text file: each line has a time, s, and from then on the velocity forwards and to the left,
+    m/s, and turning to the left, rad/s, between commas; a line of names may come first. `end_s` is the last time.
+    Raises `ConfigError` for any other file."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+            named = bool(lines) and any(letter.isalpha() for letter in lines[0])
+            self._rows = np.array([[float(each) for each in line.split(",")] for line in lines[named:]])
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path} has no velocities: {error}") from None
+        rows = self._rows
+        if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
+            raise ConfigError(
+                f"{path} has no velocities: each line has a later time, s, and the velocity forwards, to the left, m/s,"
+                " and turning, rad/s, between commas"
+            )
+        self.end_s: float | None = float(rows[-1, 0])
+
+    def velocity(self, time_s: float) -> Array | None:
+        row = int(np.searchsorted(self._rows[:, 0], time_s, side="right")) - 1
+        return None if row < 0 else np.array(self._rows[row, 1:])
 
 
 class CommandSocket:
     """Receives velocities on a UDP port of this machine: a JSON object for each, as ROS has them in
     `geometry_msgs/Twist`, `{"linear": {"x": 0.5, "y": 0}, "angular": {"z": 0.2}}`; what is left out is 0. Raises
     `ConfigError` if the port cannot be opened."""
+
+    end_s: float | None = None
 
     def __init__(self, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -37,10 +76,9 @@ class CommandSocket:
     def close(self) -> None:
         self._socket.close()
 
-    def velocity(self) -> Array | None:
-        """The newest velocity (3,), forwards, to the left, m/s, turning to the left, rad/s; zero, once, when none has
-        come for `LOST_S`; None while none comes: others may steer."""
-        while True:
+    def velocity(self, time_s: float) -> Array | None:
+        """The newest; zero, once, when none has come for `LOST_S`; None while none comes."""
+        for _ in range(_MOST_MESSAGES):
             try:
                 message = self._socket.recv(_MOST_BYTES)
             except (BlockingIOError, ConnectionError):

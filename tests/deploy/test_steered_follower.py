@@ -1,0 +1,63 @@
+"""A robot that is steered over a deployment's whole way: it stands up, goes where it is told, stands, and sits down."""
+
+import numpy as np
+import pytest
+
+from deploy.rig import Rig, once
+from fastmimic.base.errors import DeploymentError
+from fastmimic.control.config import default_config
+from fastmimic.deploy.account import summary_rows
+from fastmimic.deploy.deployment import Deployment, evaluation_of
+from fastmimic.deploy.safety import StopReason
+from fastmimic.deploy.sequence import MotionSequence
+from fastmimic.deploy.state_machine import DeploymentPhase
+from fastmimic.deploy.steered_follower import SteeredFollower
+from fastmimic.robot import Robot
+from fastmimic.steering.commands import CommandScript
+from fastmimic.steering.gait_field import GaitField
+
+
+@pytest.fixture
+def steered(a1: Robot, standstill: MotionSequence, gaits: GaitField, tmp_path) -> Rig:
+    path = tmp_path / "commands.csv"
+    path.write_text("time_s,forwards,left,turn\n0.2,0.6,0,0\n2.2,0.5,0,0.8\n4.2,0,0,0\n5.4,0,0,0\n")
+    rig = Rig(a1, standstill)
+    rig.follower = SteeredFollower(standstill, gaits, CommandScript(path).velocity)
+    return rig
+
+
+def velocities(done: Deployment, first_s: float, last_s: float) -> tuple[float, float]:
+    """Mean speed, m/s, and turn rate, rad/s, between two times of steering."""
+    assert done.log.truth is not None
+    inside = done.log.truth[done.log.rows["in_motion"]][round(first_s * 500) : round(last_s * 500)]
+    return float(np.hypot(*inside["lin_vel"][:, :2].T).mean()), float(inside["ang_vel"][:, 2].mean())
+
+
+def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) -> None:
+    done = steered.run(duration_s=5.4)
+    assert done.outcome.stopped_by is StopReason.DURATION
+    assert done.outcome.phase is DeploymentPhase.DONE
+    assert not done.result["fell"]
+    assert velocities(done, 1.2, 2.2) == pytest.approx((0.6, 0.0), abs=0.08)
+    assert velocities(done, 3.4, 4.2) == pytest.approx((0.5, 0.8), abs=0.12)
+    assert velocities(done, 5.2, 5.4)[0] < 0.03
+    wanted = done.log.rows["wanted"][done.log.rows["in_motion"]]
+    np.testing.assert_allclose(wanted[[50, 800, 1800, 2500]], [[0, 0, 0], [0.6, 0, 0], [0.5, 0, 0.8], [0, 0, 0]])
+    assert 1.5 < done.result["way_m"] < 2.5
+    assert (done.result["cycles"], done.result["reward_mean"]) == (None, None)
+    assert dict(summary_rows(done.result))["in motion"].startswith("– cycles, ")
+    with pytest.raises(DeploymentError, match="the robot was steered"):
+        evaluation_of(a1, done.log, default_config())
+
+
+def test_asked_to_sit_down_it_stands_first(steered: Rig) -> None:
+    def press(machine: object) -> None:
+        steered.switch.leave = True
+
+    done = steered.run(endless=True, watch=once(lambda machine: machine.follower.steps > 750, press))
+    assert done.outcome.stopped_by is StopReason.ASKED
+    assert done.outcome.phase is DeploymentPhase.DONE
+    inside = done.log.rows["in_motion"]
+    assert velocities(done, 1.2, 1.5)[0] > 0.4, "it went"
+    assert 2.0 < inside.sum() / 500 < 3.5
+    assert velocities(done, inside.sum() / 500 - 0.4, inside.sum() / 500)[0] < 0.05, "it stood before it sat down"
