@@ -11,10 +11,12 @@ from deploy.rig import Rig, once
 from fastmimic.base.rotations import quat_from_rotvec, quat_multiply, quat_rotate_inverse
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.driver import StateMessage
+from fastmimic.deploy.plausibility import Senses
 from fastmimic.deploy.safety import SafetyLimits, StopReason
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.robot import Robot
+from fastmimic.robot.state import READING
 from fastmimic.simulation.conditions import Conditions
 
 Tamper = Callable[[Any], None]  # changes a reading of `READING` in place
@@ -121,6 +123,15 @@ def tilt(done: Deployment) -> Any:
     assert done.log.truth is not None
     x, y = done.log.truth["root_quat"][:, 1], done.log.truth["root_quat"][:, 2]
     return np.arccos(1.0 - 2.0 * (x * x + y * y))
+
+
+def test_a_reading_that_is_late_is_not_a_sensor_that_stands_still() -> None:
+    limits, reading = SafetyLimits(), np.zeros(1, READING)
+    reading["quat"], reading["accel"] = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.81)
+    for elapsed_s in (0.0, 0.002):
+        senses = Senses(limits.sensors_turn, limits.sensors_gravity, limits.sensors_slip, limits.sensors_frozen)
+        found = [senses.check(reading, np.full(12, 0.02 * i), elapsed_s) for i in range(50)]
+        assert any(found) == (elapsed_s > 0.0)
 
 
 @pytest.mark.parametrize("disturbance", ["side-push=8@9", "payload=5", "friction=0.3"])
