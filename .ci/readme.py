@@ -51,6 +51,7 @@ def main(folder: Path, pages: list[Path]) -> None:
         write_dog(Path(name), cycles=12)
     np.save("hills.npy", np.random.default_rng(0).uniform(0.0, 0.02, (300, 300)))
     np.save("points.npy", fm.open_clip("walk").points_w)
+    Path("way.csv").write_text("0.5,0.5,0,0\n1.5,0,0,0\n2,0,0,0\n")
     Path("my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
     fm.evaluate("trot", duration_s=0.1)  # loads what commands need, once for all of them
     for page, text in [(page, page.read_text(encoding="utf-8")) for page in pages]:

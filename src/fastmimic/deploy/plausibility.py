@@ -60,8 +60,8 @@ class Senses:
         self._still = np.zeros(15, np.int64)  # readings in a row of the same bits: of the IMU's three, and by joint
 
     def check(self, reading: NDArray[Any], wanted: Array, elapsed_s: float) -> Doubt | None:
-        """What is wrong with a reading (1,) of `READING`, `elapsed_s` after the last one, 0 if none has come since; None
-        if it fits. `wanted` (12,) are the joint angles of the last command, rad."""
+        """What is wrong with a reading (1,) of `READING`, None if it fits. It came `elapsed_s` after the last one, 0 if
+        it is that. `wanted` (12,) are the joint angles of the last command, rad."""
         now = reading[0]
         if self._last is None:
             self._begin(now, wanted)
