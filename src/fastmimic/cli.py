@@ -87,7 +87,10 @@ def _dispatch(arguments: list[str], without_option: Mapping[str, Any]) -> int:
         return 0
     if first not in VERBS:
         return _fail(_unknown(first))
-    _log_to_stderr()
+    logger = logging.getLogger("fastmimic")
+    if not logger.handlers:
+        logger.addHandler(_Stderr(logging.INFO))
+        logger.setLevel(logging.INFO)  # of long work
     load_extensions()
     try:
         status: int = _filled(_parse(first, rest), without_option).run()
@@ -160,13 +163,6 @@ class _Stderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         kind = "" if record.levelno == logging.INFO else f"{record.levelname.lower()}: "
         _say(f"{kind}{record.getMessage()}")
-
-
-def _log_to_stderr() -> None:
-    logger = logging.getLogger("fastmimic")
-    if not logger.handlers:
-        logger.addHandler(_Stderr(logging.INFO))
-        logger.setLevel(logging.INFO)  # of long work
 
 
 def _say(text: str) -> None:

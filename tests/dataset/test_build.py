@@ -166,7 +166,7 @@ def test_what_is_gone_from_a_folder_leaves_the_index(clips: Path, tmp_path: Path
         sources = find_sources(place, exclude=["torn*"] if len(made) else [])
         folders = [place] if place.is_dir() else []
         library = build_dataset(BuildRequest(sources, RECIPE, ("a1",), folders=folders), tmp_path / "lib", HERE).library
-        problems = [survey.source.name for survey in library.surveys() if survey.problem]
+        problems = [survey.source.name for survey in library.surveys()[0] if survey.problem]
         return [row["name"] for row in library.index()] + problems
 
     made: list[str] = []
@@ -186,7 +186,7 @@ def test_a_damaged_file_about_a_source_or_robot_takes_nothing_else_with_it(text:
     for kind in ("sources", "robots"):
         next((mine / kind).iterdir()).write_text(text)
     assert MotionDataset.open(mine).find("trot") == [row for row in rows if row["name"] == "trot"]
-    assert len(library.surveys()) == 1
+    assert len(library.surveys()[0]) == 1
     health = check(library)
     assert [line.split("/")[0] for line in health.damaged] == ["robots", "sources"]
     assert all("the next build" in line for line in health.damaged)

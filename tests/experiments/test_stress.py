@@ -13,7 +13,7 @@ from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.text import csv_text
 from fastmimic.episode.plan import Start
 from fastmimic.experiments import experiment
-from fastmimic.experiments.experiment import Subject, check_methods, load_part, make_subject, save_part
+from fastmimic.experiments.experiment import Subject, all_parts, check_methods, finish_part, make_subject
 from fastmimic.experiments.stress import (
     COLUMNS,
     StressSettings,
@@ -140,16 +140,22 @@ class TestTolerance:
 class TestParts:
     def test_come_back_and_are_told_apart(self, tmp_path: Path) -> None:
         path = tmp_path / "part.json"
-        assert load_part(path, "a") is None
-        save_part(path, [{"value": "inf", "x": 1}], "a")
-        found = load_part(path, "a")
-        assert found is not None
-        assert math.isinf(float(found[0]["value"]))
+        runs: list[dict[str, Any]] = []
+
+        def run() -> list[dict[str, Any]]:
+            runs.append({"value": "inf", "x": 1})
+            return runs
+
+        for _ in range(2):
+            finish_part(path, "a", run)
+            (found,) = all_parts(tmp_path)
+            assert math.isinf(float(found["value"]))
+        assert len(runs) == 1, "what is finished does not run again"
         with pytest.raises(OutputError, match="is of another motion or controller"):
-            load_part(path, "b")
+            finish_part(path, "b", run)
         path.write_text("{")
         with pytest.raises(OutputError, match=r"cannot be read .* remove it"):
-            load_part(path, "a")
+            finish_part(path, "a", run)
 
 
 class TestRefusals:

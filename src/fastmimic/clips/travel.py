@@ -54,7 +54,9 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
     if travel == "as-is" or moving == 0 or (travel == "auto" and way > _LARGEST_WAY * moving):
         return clip
     if travel == "recover":
-        clip = _on_the_spot(clip)
+        still = np.concatenate([_trunk(clip), np.zeros((clip.n_frames, 1))], axis=1)[:, None]
+        body = None if clip.body_w is None else clip.body_w - still
+        clip = replace(clip, points_w=clip.points_w - still, body_w=body)
     ahead = clip.point("neck") - clip.point("pelvis")
     no_heading = bool(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])).std() < _NO_HEADING_RAD)
     feet = _feet(clip, no_heading)
@@ -83,13 +85,6 @@ def _speed(path: Array, rate_hz: float) -> float:
     step = min(max(1, round(_SWAY_S * rate_hz)), len(path) - 1)
     steps = np.diff(path[::step], axis=0)
     return float(np.linalg.norm(steps, axis=1).mean() * rate_hz / step)
-
-
-def _on_the_spot(clip: Clip) -> Clip:
-    """The clip without the way of its trunk."""
-    way = np.concatenate([_trunk(clip), np.zeros((clip.n_frames, 1))], axis=1)[:, None]
-    body = None if clip.body_w is None else clip.body_w - way
-    return replace(clip, points_w=clip.points_w - way, body_w=body)
 
 
 def _nearby(values: Array, rate_hz: float) -> Array:

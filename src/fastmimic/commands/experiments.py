@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -298,14 +299,13 @@ class Stress(ExperimentOptions):
         self, subject: "Subject", names: Sequence[str], robot: Robot, settings: "StressSettings", done: int, total: int
     ) -> None:
         """Runs the sweeps of one method that are not finished yet."""
-        from fastmimic.experiments.experiment import load_part, part_file, save_part
+        from fastmimic.experiments.experiment import finish_part, part_file
         from fastmimic.experiments.stress import SWEEPS, sweep
 
         with share_progress("sweeps") as tell, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
             for k, name in enumerate(names, done + 1):
                 path = part_file(self.out / SWEEPS, subject.method.name, name)
-                if load_part(path, subject.digest) is None:
-                    save_part(path, sweep(subject, name, robot, settings), subject.digest)
+                finish_part(path, subject.digest, partial(sweep, subject, name, robot, settings))
                 text = f"{subject.method.name}, {name}"
                 tell(k / total, text, f"{k}/{total} {text}")
 
@@ -335,7 +335,7 @@ class Transfer(ExperimentOptions):
 
     def run(self) -> int:
         opt.check_duration(self.duration)
-        from fastmimic.experiments.experiment import check_methods, load_part, part_file, save_part
+        from fastmimic.experiments.experiment import check_methods, finish_part, part_file
         from fastmimic.experiments.transfer import PARTS, TransferSettings, run_trials
         from fastmimic.report.experiment_figures import TRANSFER_FILES, write_transfer
 
@@ -361,8 +361,7 @@ class Transfer(ExperimentOptions):
                 for method in self.methods:
                     subject = self.subject(method, motion, robot, policy)
                     path = part_file(self.out / PARTS, motion.name, method)
-                    if load_part(path, subject.digest) is None:
-                        with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
-                            save_part(path, run_trials(subject, robot, settings), subject.digest)
+                    with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
+                        finish_part(path, subject.digest, partial(run_trials, subject, robot, settings))
                     note(f"{motion.name}, {method}: done")
         return 0

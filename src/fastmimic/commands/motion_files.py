@@ -360,36 +360,34 @@ class Export:
     clip: opt.ClipReading
 
     def run(self) -> int:
-        if self.format == LEROBOT:
-            return self._runs()
-        if self.format not in EXPORTS:
+        if self.format not in (*EXPORTS, LEROBOT):
             raise unknown("format", self.format, (*EXPORTS, LEROBOT))
-        if self.episodes is not None:
-            raise ConfigError(f"--episodes is for the format {LEROBOT}; {self.format} has the motion itself")
-        endings = (".txt", ".json") if EXPORTS[self.format] == ".txt" else (EXPORTS[self.format],)
-        out = opt.check_writable(self.out, *endings)
+        if self.format != LEROBOT:
+            if self.episodes is not None:
+                raise ConfigError(f"--episodes is for the format {LEROBOT}; {self.format} has the motion itself")
+            endings = (".txt", ".json") if EXPORTS[self.format] == ".txt" else (EXPORTS[self.format],)
+            opt.check_writable(self.out, *endings)
         opt.check_duration(self.duration)
         robot, motion = self.clip.load(self.motion, self.robot)
-        frames = export_motion(motion, robot, out, self.format, fps=self.rate, duration_s=self.duration)
+        if self.format == LEROBOT:
+            said = self._run_and_write(robot, motion)
+        else:
+            frames = export_motion(motion, robot, self.out, self.format, fps=self.rate, duration_s=self.duration)
+            said = f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {self.out}"
         if motion.provenance.licence:
             note(f"licence of the motion: {motion.provenance.licence}")
-        put(f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {out}")
+        put(said)
         return 0
 
-    def _runs(self) -> int:
-        """Runs the motion and writes what the robot did."""
+    def _run_and_write(self, robot: Robot, motion: Motion) -> str:
+        """Runs the motion and writes what the robot did; returns it in words."""
         from fastmimic.dataset.lerobot import check_lerobot, write_lerobot
         from fastmimic.imitation.evaluate import evaluate
 
-        opt.check_duration(self.duration)
-        robot, motion = self.clip.load(self.motion, self.robot)
         check_lerobot(self.out, motion.rate_hz, self.rate)
         episodes = 10 if self.episodes is None else self.episodes
         with slow_start():
             rollout = evaluate(motion, robot, episodes=episodes, duration_s=self.duration, log=True).rollout
         frames = write_lerobot(self.out, rollout, robot, f"{motion.name} on {robot.name}", self.rate)
-        if motion.provenance.licence:
-            note(f"licence of the motion: {motion.provenance.licence}")
         fell = int(rollout.fell.sum())
-        put(f"{episodes} runs, {fell} with a fall, {frames} frames at {self.rate:g} per second in {self.out}")
-        return 0
+        return f"{episodes} runs, {fell} with a fall, {frames} frames at {self.rate:g} per second in {self.out}"

@@ -35,20 +35,6 @@ def figure_rows(
     return [*against, ("reward", reward), *components, ("fell", fell), clearance, *others]
 
 
-def put_comparison(result: "Imitation") -> None:
-    """Prints the figures before and after the optimisation."""
-    metrics = result.metrics()
-    columns = {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
-    cells = [_column(metrics, column) for column in columns]
-    rows = [(name, *(values[name] for values in cells)) for name in cells[0]]
-    put(f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s")
-    put_table([("", *columns.values()), *rows], right=range(1, len(cells) + 1))
-    effort = f"{metrics['simulated_s']:.0f} s simulated in {metrics['wall_s']:.1f} s"
-    if metrics["evaluations"]:
-        effort = f"{metrics['evaluations']} episodes in {metrics['iterations']} iterations, {effort}"
-    put(effort)
-
-
 def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
     reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
     swings = zip(clearance[column], clearance["demonstration"], strict=True)
@@ -82,11 +68,20 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
 
 
 def put_result(result: "Imitation", folder: RunFolder, iterations: int, *, video: str | None) -> int:
-    """Prints the figures and adds the video, of this quality or None for none, to the folder; returns the exit status.
-    `iterations` is the number that was asked for."""
+    """Prints the figures before and after, and adds the video, of this quality or None for none, to the folder; returns
+    the exit status. `iterations` is the number that was asked for."""
     from fastmimic.report.figures import write_video
 
-    put_comparison(result)
+    metrics = result.metrics()
+    columns = {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
+    cells = [_column(metrics, column) for column in columns]
+    rows = [(name, *(values[name] for values in cells)) for name in cells[0]]
+    put(f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s")
+    put_table([("", *columns.values()), *rows], right=range(1, len(cells) + 1))
+    effort = f"{metrics['simulated_s']:.0f} s simulated in {metrics['wall_s']:.1f} s"
+    if metrics["evaluations"]:
+        effort = f"{metrics['evaluations']} episodes in {metrics['iterations']} iterations, {effort}"
+    put(effort)
     if video is not None:
         try:
             with count_progress("video, frame") as progress:

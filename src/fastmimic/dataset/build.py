@@ -177,7 +177,7 @@ class _Builder:
     def _look(self, *, again: bool) -> list[Survey]:
         """Surveys the sources that changed, saves the surveys, and returns all in the order of the sources."""
         request, sources = self.request, list(self.request.sources)
-        known = {survey.source: survey for survey in self.library.surveys()}
+        known = {survey.source: survey for survey in self.library.surveys()[0]}
         found: dict[int, Survey] = {}
         for i, source in enumerate([] if again else sources):
             old = known.get(source)

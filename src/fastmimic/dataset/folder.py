@@ -186,17 +186,14 @@ class MotionDataset:
         key = fingerprint(robot.encode())[:12]
         write_text(self.path / ROBOTS / f"{key}.json", json.dumps({"robot": robot, "digest": digest}, indent=1))
 
-    def surveys(self) -> list[Survey]:
-        """The surveys of its sources, by source name, without damaged ones."""
-        return self._surveys()[0]
-
-    def _surveys(self) -> tuple[list[Survey], list[str]]:
+    def surveys(self) -> tuple[list[Survey], list[str]]:
+        """The surveys of its sources, by source name, and a line for each damaged one."""
         found, unreadable = _load(self.path / SOURCES, Survey, "of its source")
         return sorted(found, key=lambda survey: (survey.source.name, survey.source.key)), unreadable
 
     def plan(self) -> Membership:
         """Which records belong to it; raises `LibraryError` for another format."""
-        surveys, sources = self._surveys()
+        surveys, sources = self.surveys()
         robots, unreadable = _load(self.path / ROBOTS, _UsedRobot, "for its robot")
         try:
             recipe = self.recipe_digest()

@@ -176,8 +176,7 @@ class Demand:
 
 GRADES: Final = packaged("fastmimic.dataset", "grades.json", dict[str, tuple[Demand, ...]])
 """From the best grade to the lowest; a grade includes the demands of those below it."""
-KEPT: Final = tuple(GRADES)
-RANKS: Final = (FAILURE, REJECTED, *reversed(KEPT))
+RANKS: Final = (FAILURE, REJECTED, *reversed(GRADES))
 
 
 def grade(record: Mapping[str, Any]) -> tuple[str, str]:
@@ -288,7 +287,7 @@ def gather(folder: Path, plan: Membership) -> Gathered:
             else:
                 row = plan.described(record)
                 reached, lacks = grade(row)
-                row |= {"grade": reached, "lacks": lacks or None, "kept": reached in KEPT}
+                row |= {"grade": reached, "lacks": lacks or None, "kept": reached in GRADES}
                 yield {name: None if row[name] is None else kind(row[name]) for name, kind in kinds.items()}
 
     found, batches = belonging(), []

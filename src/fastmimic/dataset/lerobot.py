@@ -46,7 +46,10 @@ def write_lerobot(folder: str | Path, rollout: Rollout, robot: Robot, task: str,
     if not all(lengths):
         raise ConfigError("an episode has no frame: the robot fell at once")
     columns = {name: np.concatenate([found[name] for found in episodes]) for name in episodes[0]}
-    columns |= _counters(lengths, fps)
+    frame = np.concatenate([np.arange(n) for n in lengths])  # from here on the columns that every dataset has
+    columns |= {"timestamp": (frame / fps).astype(np.float32), "frame_index": frame}
+    columns |= {"episode_index": np.repeat(np.arange(len(lengths)), lengths), "index": np.arange(len(frame))}
+    columns |= {"task_index": np.zeros_like(frame)}
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as scratch:
         whole = Path(scratch) / "whole"
         _write_tables(whole, columns, lengths, task)
@@ -93,14 +96,6 @@ def _names(robot: Robot) -> dict[str, list[str]]:
         "observation.environment_state": [*root, *(f"{leg}.force_z" for leg in LEGS)],
         "action": [f"{name}.{kind}" for kind in ("pos", "torque") for name in robot.joint_names],
     }
-
-
-def _counters(lengths: list[int], fps: float) -> Columns:
-    """The columns that every dataset has."""
-    frame = np.concatenate([np.arange(n) for n in lengths])
-    found = {"timestamp": (frame / fps).astype(np.float32), "frame_index": frame}
-    found |= {"episode_index": np.repeat(np.arange(len(lengths)), lengths), "index": np.arange(len(frame))}
-    return found | {"task_index": np.zeros_like(frame)}
 
 
 def _info(columns: Columns, episodes: int, robot: Robot, fps: int) -> dict[str, Any]:

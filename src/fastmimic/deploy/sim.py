@@ -300,18 +300,14 @@ class SimDriver(RobotDriver):
     def _newest(self) -> StateMessage | None:
         assert self._is_open
         now, newest = self._now(), None
-        self._catch_up(now)
-        for packet in self._states.arrived(now):
-            newest = self._from_robot.take(packet) or newest
-        return newest
-
-    def _catch_up(self, now: float) -> None:
-        """Simulates the control periods up to now."""
         behind = now - self._epoch - self.body.steps * self._dt
         if behind > _MOST_BEHIND_S:  # nothing read it meanwhile: it stood still
             self._epoch += behind - self._dt
         while self._epoch + (self.body.steps + 1) * self._dt <= now + 1e-9:
             self._advance(self._epoch + self.body.steps * self._dt)
+        for packet in self._states.arrived(now):
+            newest = self._from_robot.take(packet) or newest
+        return newest
 
     def _advance(self, began: float) -> None:
         """Simulates a control period with the commands that have arrived at its beginning."""

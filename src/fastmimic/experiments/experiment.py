@@ -104,19 +104,13 @@ def part_file(folder: Path, *names: str) -> Path:
     return folder / f"{slug('-'.join(names))}.json"
 
 
-def save_part(path: Path, rows: Sequence[Row], digest: str) -> None:
-    """Writes finished rows; raises `OutputError` if it cannot."""
-    write_text(path, json.dumps({"digest": digest, "rows": list(rows)}, indent=1, allow_nan=False))
-
-
-def load_part(path: Path, digest: str) -> list[Row] | None:
-    """Finished rows, or None; raises `OutputError` if they are damaged or of another content."""
+def finish_part(path: Path, digest: str, run: Callable[[], list[Row]]) -> None:
+    """Writes the rows of `run`, unless they are there; raises `OutputError` if those are damaged or of another content,
+    or cannot be written."""
     if not path.is_file():
-        return None
-    of, rows = _read(path)
-    if of != digest:
+        write_text(path, json.dumps({"digest": digest, "rows": run()}, indent=1, allow_nan=False))
+    elif _read(path)[0] != digest:
         raise OutputError(f"{path} is of another motion or controller; choose another --out, or give --overwrite")
-    return rows
 
 
 def all_parts(folder: Path) -> list[Row]:

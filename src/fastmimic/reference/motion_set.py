@@ -116,7 +116,8 @@ class MotionSet:
 
     def _future(self, before: str, after: str) -> Future[CourseTransition | None]:
         key = (before, after)
-        if key not in self._transitions or _broke(self._transitions[key]):
+        known = self._transitions.get(key)
+        if known is None or (known.done() and isinstance(known.exception(), BrokenExecutor)):
             a, b = self.entry(before).motion, self.entry(after).motion
             self._transitions[key] = self._made(make_course_transition, a, b, self._regulator)
         return self._transitions[key]
@@ -161,8 +162,3 @@ def warm_up(source: str) -> None:
 
 def _made_there(source: str, make: Callable[..., _Result], *given: Any) -> _Result:
     return make(_robot_of(source), *given)
-
-
-def _broke(future: Future[Any]) -> bool:
-    """Whether the process ended before it had a result."""
-    return future.done() and isinstance(future.exception(), BrokenExecutor)

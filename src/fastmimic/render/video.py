@@ -87,14 +87,10 @@ class _Panel:
             for leg in range(4):
                 if shown.contact[frame, leg]:
                     self.view.disc(shown.feet[frame, 0, leg], leg_rgba(leg, 0.75))
-                self._trail(shown.feet[frame, :, leg], leg)
+                path = shown.feet[frame, :, leg]  # (p, 3), present first: a fading trail, without where it stood
+                for i in np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP):
+                    self.view.line(path[i], path[i + 1], leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
         return self.view.scene
-
-    def _trail(self, path: Array, leg: int) -> None:
-        """A fading trail of a foot's path (p, 3), present first, without where it stood."""
-        moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP
-        for i in np.flatnonzero(moved):
-            self.view.line(path[i], path[i + 1], leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
 
 
 def render_video(
@@ -159,7 +155,11 @@ def render_video(
     arguments = encoder_arguments(path, drawn_size, size, fps, quality, len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
     video_scene = _build(robot, shown, drawn_size, quality, loop_m)
-    overlay = _overlay(tracks, drawn_size, slow_motion, columns, clock)
+    ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
+    legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
+    note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
+    words = [(t.title, t.caption) for t in tracks]
+    overlay = Overlay(*drawn_size, words, legend, note, columns=columns, clock=clock)
 
     try:
         with ExitStack() as stack:
@@ -268,16 +268,6 @@ def _build(
         tile=tile,
         terrain=next((s.terrain for s in shown if s.terrain is not None), None),
     )
-
-
-def _overlay(
-    tracks: Sequence[AnyTrack], size: tuple[int, int], slow_motion: float, columns: int, clock: bool
-) -> Overlay:
-    ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
-    legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
-    note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
-    words = [(t.title, t.caption) for t in tracks]
-    return Overlay(*size, words, legend, note, columns=columns, clock=clock)
 
 
 def _panels(

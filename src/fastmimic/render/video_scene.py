@@ -104,7 +104,11 @@ def build_video_scene(
     ghost_qpos = None
     if ghost:
         ghost_qpos, ghost_geoms = _find(model, robot, _GHOST)
-        _make_ghost(model, ghost_geoms)
+        main = _main_geoms(model, ghost_geoms)
+        model.geom_group[ghost_geoms] = np.where(main[ghost_geoms], GHOST_GROUP, _HIDDEN_GROUP)
+        model.geom_matid[ghost_geoms] = -1
+        model.geom_rgba[ghost_geoms] = ghost_rgba()
+        model.geom_size[ghost_geoms] *= _GHOST_SHRINK
     follow = terrain is None and not quality.textured
     tiles = tuple(int(model.geom(name).id) for name in _TILES) if follow else ()
     casts_shadow = _main_geoms(model, robot_geoms) & (terrain is None)
@@ -159,15 +163,6 @@ def _seen(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _solid(model: mujoco.MjModel) -> NDArray[np.bool_]:
     solid: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return solid
-
-
-def _make_ghost(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> None:
-    """Gives a robot's `geoms` the demonstration's colour, translucent."""
-    main = _main_geoms(model, geoms)
-    model.geom_group[geoms] = np.where(main[geoms], GHOST_GROUP, _HIDDEN_GROUP)
-    model.geom_matid[geoms] = -1
-    model.geom_rgba[geoms] = ghost_rgba()
-    model.geom_size[geoms] *= _GHOST_SHRINK
 
 
 def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float) -> None:

@@ -121,11 +121,14 @@ def tracking_figure(
     start, end = window_s if window_s is not None else (time[0], time[-1])
     figure = style.new_figure(14.0, 6.2, title, below=0.85)
     grid = figure.subplots(2, 4, sharex=True)
+    dt = time[1] - time[0] if len(time) > 1 else 0.0
+    ends = np.append(time, time[-1] + dt)  # each sample lasts until the next
     for row, axis in enumerate((2, 0)):
         drawn = [wanted[:, :, axis], before[:, :, axis], after[:, :, axis]]
         for leg, name in enumerate(LEGS):
             axes = grid[row, leg]
-            shade(axes, time, stance[:, leg])
+            for first, last in stretches(stance[:, leg]):
+                axes.axvspan(ends[first], ends[last], color=STANCE, linewidth=0, zorder=0)
             styles = zip(drawn, (DEMONSTRATION, BEFORE, AFTER), ("demonstration", "before", "after"), strict=True)
             for feet, line, label in styles:
                 axes.plot(time, feet[:, leg], **line._asdict(), label=label)
@@ -155,14 +158,6 @@ def rmse(values: Array, reference: Array) -> float:
     error = values - reference
     error = error[np.isfinite(error)]
     return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
-
-
-def shade(axes: Axes, time_s: Array, stance: NDArray[np.bool_]) -> None:
-    """Shades the times at which `stance` (t,) holds; each sample lasts until the next."""
-    dt = time_s[1] - time_s[0] if len(time_s) > 1 else 0.0
-    ends = np.append(time_s, time_s[-1] + dt)
-    for start, end in stretches(stance):
-        axes.axvspan(ends[start], ends[end], color=STANCE, linewidth=0, zorder=0)
 
 
 def draw_run(result: Imitation, folder: RunFolder) -> None:
@@ -238,7 +233,11 @@ def motion_figure(motion: Motion, robot: Robot) -> Figure:
         ylabel="m",
     )
     _widen(panels["height"], 0.04)
-    _draw_tilt(panels["tilt"], time, motion.root_quat_wxyz)
+    roll, pitch = np.degrees(roll_pitch_from_quat(motion.root_quat_wxyz))
+    panels["tilt"].plot(time, pitch, **AFTER._asdict(), label="pitch")
+    panels["tilt"].plot(time, roll, **BEFORE._asdict(), label="roll")
+    style.tidy(panels["tilt"], "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")
+    _widen(panels["tilt"], 4.0)
     speed = robot.joint_speed_limit
     peak = 100 * np.max(np.abs(motion.joint_vel) / speed, axis=0)
     for i, joint in enumerate(JOINTS_PER_LEG):
@@ -296,14 +295,6 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -
     style.tidy(axes, "gait: a bar is stance; the number is the duty factor")
     axes.set_yticks(list(rows), [f"{leg}  {d:.2f}" for leg, d in zip(LEGS, duty, strict=True)])
     axes.grid(False, axis="y")
-
-
-def _draw_tilt(axes: Axes, time: Array, root_quat_wxyz: Array) -> None:
-    roll, pitch = roll_pitch_from_quat(root_quat_wxyz)
-    axes.plot(time, np.degrees(pitch), **AFTER._asdict(), label="pitch")
-    axes.plot(time, np.degrees(roll), **BEFORE._asdict(), label="roll")
-    style.tidy(axes, "base pitch (solid, nose down positive) and roll (dotted)", ylabel="degrees")
-    _widen(axes, 4.0)
 
 
 def _widen(axes: Axes, least: float) -> None:

@@ -186,6 +186,10 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
         except FastMimicError as error:
             missing.append(f"{error}: without the replay in 3D")
     m, sections, controller = run.metrics, _sections(run), run.config.get("controller")
+    source, licence = run.config.get("source"), run.config.get("licence")
+    about = {"motion": m["motion"], "robot": m["robot"]}
+    if isinstance(source, dict):
+        about |= {k: v for k, v in source.items() if isinstance(v, str | int | float)}
     return render(
         "run.html",
         [figure for found in sections.values() for figure in found],
@@ -198,7 +202,7 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
         video=run.video,
         sections=sections,
         arguments=draw.said_arguments(run.config.get("arguments", {})),
-        about=_about(run),
+        about=about | ({"licence": licence} if licence else {}),
         controller=json.dumps(controller, indent=2, ensure_ascii=False) if controller else "",
         legs=LEGS,
     )
@@ -258,14 +262,6 @@ def _sections(run: RunData) -> dict[str, list[Figure]]:
         "limits": [*html_episodes.limits(e), html_episodes.friction(e)],
         "times": [] if solved is None else [solved],
     }
-
-
-def _about(run: RunData) -> dict[str, Any]:
-    source, licence = run.config.get("source"), run.config.get("licence")
-    about: dict[str, Any] = {"motion": run.metrics["motion"], "robot": run.metrics["robot"]}
-    if isinstance(source, dict):
-        about |= {k: v for k, v in source.items() if isinstance(v, str | int | float)}
-    return about | ({"licence": licence} if licence else {})
 
 
 def convergence(

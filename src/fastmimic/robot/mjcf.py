@@ -55,7 +55,9 @@ def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
     """Reads a `Robot` from a MuJoCo specification, which may have no name. Raises `RobotError`: the model does not
     compile or is not a twelve-joint quadruped."""
     try:
-        _name_spheres(spec)
+        for i, geom in enumerate(spec.geoms):  # scenes address feet by name
+            if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and not geom.name:
+                geom.name = f"sphere_{i}"
         model = spec.compile()
         xml = spec.to_xml()
         _ = ' file="' in xml or mujoco.MjModel.from_xml_string(xml)  # rounded: a small mass may be none
@@ -63,7 +65,10 @@ def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
         raise RobotError(f"MuJoCo cannot compile this model ({one_line(error)})") from None
     trunk = _trunk(model)
     chains = [_chain(model, root) for root in _leg_roots(model, trunk)]
-    at_zero = _at_zero(model, trunk)
+    at_zero = mujoco.MjData(model)  # all joints at zero, the trunk upright
+    at_zero.qpos[:] = 0
+    at_zero.qpos[model.jnt_qposadr[model.body_jntadr[trunk]] + 3] = 1
+    mujoco.mj_kinematics(model, at_zero)
     reversed_joints = [joint for chain in chains for joint in _reversed(model, at_zero, chain)]
     if reversed_joints:
         _turn_round(spec, model, reversed_joints)
@@ -136,13 +141,6 @@ def _files_digest(spec: mujoco.MjSpec) -> str:
     return found.hexdigest()
 
 
-def _name_spheres(spec: mujoco.MjSpec) -> None:
-    """Names unnamed spheres, because scenes address feet by name."""
-    for i, geom in enumerate(spec.geoms):
-        if geom.type == mujoco.mjtGeom.mjGEOM_SPHERE and not geom.name:
-            geom.name = f"sphere_{i}"
-
-
 def one_line(error: Exception) -> str:
     """An exception's message without line breaks."""
     return " ".join(str(error).split())
@@ -189,15 +187,6 @@ def _chain(model: mujoco.MjModel, root: int) -> list[int]:
 
 def _label(model: mujoco.MjModel, root: int) -> str:
     return f"the leg at body '{model.body(root).name}'"
-
-
-def _at_zero(model: mujoco.MjModel, trunk: int) -> mujoco.MjData:
-    """The model with all joints at zero and the trunk upright."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = 0
-    data.qpos[model.jnt_qposadr[model.body_jntadr[trunk]] + 3] = 1
-    mujoco.mj_kinematics(model, data)
-    return data
 
 
 def _reversed(model: mujoco.MjModel, at_zero: mujoco.MjData, chain: list[int]) -> list[int]:

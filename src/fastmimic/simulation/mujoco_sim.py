@@ -58,8 +58,11 @@ def build_model(
         if geom.name in robot.foot_geoms:
             geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
             geom.solref, geom.solimp = plain.solref, plain.solimp
-    if not ideal:
-        _collide_legs(spec, robot)
+    for i, hip in enumerate(() if ideal else robot.joint_names[1::3]):
+        for geom in spec.joint(hip).parent.find_all("geom"):
+            if geom.conaffinity:
+                geom.contype = 2 << i  # bit 0 is the floor's, 1 to 4 are the legs'
+                geom.conaffinity = 0b11111 ^ geom.contype
     for name, shape in floor_shapes(spec, ground).items():
         spec.worldbody.add_geom(name=name, friction=[GROUND_FRICTION, 0.005, 0.0001], contype=1, conaffinity=0, **shape)
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
@@ -102,15 +105,6 @@ def _trunk_of(spec: mujoco.MjSpec, robot: Robot) -> str:
     while not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
         body = body.parent
     return str(body.name)
-
-
-def _collide_legs(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Thighs, calves and feet collide with those of other legs: bit 0 is the floor's, 1 to 4 are the legs'."""
-    for leg, hip in enumerate(robot.joint_names[1::3]):
-        for geom in spec.joint(hip).parent.find_all("geom"):
-            if geom.conaffinity:
-                geom.contype = 2 << leg
-                geom.conaffinity = 0b11111 ^ geom.contype
 
 
 def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:

@@ -109,9 +109,6 @@ class ViewerPanel(Panel):
             player.playing = False
             player.seek(row)
 
-        def step_cycle() -> None:
-            player.step_cycle(_CYCLES[str(cycles.value)])
-
         def step_frames() -> None:
             go_to(player.row + _FRAMES[str(frames.value)] * max(1, round(_STEP_S * player.rate_hz)))
 
@@ -127,7 +124,7 @@ class ViewerPanel(Panel):
                 self._change(lambda: go_to(round(float(self._time.value) * player.rate_hz)))
 
         self._play.on_click(lambda _event: self._change(player.toggle))
-        cycles.on_click(lambda _event: self._change(step_cycle))
+        cycles.on_click(lambda _event: self._change(lambda: player.step_cycle(_CYCLES[str(cycles.value)])))
         frames.on_click(lambda _event: self._change(step_frames))
         speed.on_update(lambda _event: self._change(set_speed))
         repeat.on_update(lambda _event: self._change(set_repeat))

@@ -124,7 +124,11 @@ class RobotScene:
         ]
         self._title = server.scene.add_label(f"{name}/names/title", take.title, anchor="bottom-center")
         if animal is not None:
-            self._add_animal(f"{name}/animal")
+            points = np.zeros((10, 3))
+            self._bones = self._lines(f"{name}/animal/bones", marks.bone_segments(points), _ANIMAL_RGB, 4.0)
+            self._points = server.scene.add_point_cloud(
+                f"{name}/animal/points", points, _ANIMAL_RGB, point_size=0.022, point_shape="circle"
+            )
         self.set_take(take)
 
     def set_take(self, take: Take) -> None:
@@ -236,13 +240,6 @@ class RobotScene:
             ),
             "com_drop": self._lines(f"{name}/com/drops", np.zeros((6, 2, 3)), _COM_RGB, 2.0),
         }
-
-    def _add_animal(self, name: str) -> None:
-        scene, points = self._server.scene, np.zeros((10, 3))
-        self._bones = self._lines(f"{name}/bones", marks.bone_segments(points), _ANIMAL_RGB, 4.0)
-        self._points = scene.add_point_cloud(
-            f"{name}/points", points, _ANIMAL_RGB, point_size=0.022, point_shape="circle"
-        )
 
     def _arrows(self, name: str, rgb: tuple[int, int, int], shaft_radius: float) -> Any:
         """Arrows that are hidden until they have points."""

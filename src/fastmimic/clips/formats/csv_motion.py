@@ -13,7 +13,7 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.files import packaged
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats.format import Content, Format
+from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import LARGEST, Table, check_rate, read_table, to_array
 from fastmimic.robot.robot import Robot
@@ -159,16 +159,11 @@ def _check_radians(table: Table, joints: Array, names: list[str]) -> None:
         )
 
 
-def _detect(content: Content) -> bool:
-    header = content.table.header
-    return (header is not None and names_joints(header)) or COLUMNS in content.columns
-
-
 FORMAT: Final = Format(
     name="csv",
     about=f"retargeted robot motion, {COLUMNS} columns of text (root xyz, quaternion xyzw, 12 joints) or a header",
     suffixes=(".csv",),
-    detect=_detect,
+    detect=lambda content: names_joints(content.table.header or []) or COLUMNS in content.columns,
     parse=parse,
     takes=("robot", "fps"),
 )

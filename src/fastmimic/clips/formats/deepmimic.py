@@ -174,7 +174,8 @@ def _load(text: str) -> dict[str, Any]:
 def _frames(document: dict[str, Any], text: str) -> Array:
     """All frames, (t, 19), or (t, 49) or (t, 61) with velocities and feet."""
     if "Frames" not in document:
-        raise ClipError(f"JSON without 'Frames'{did_you_mean('Frames', document)}; found {_listed(document)}")
+        found = ", ".join(repr(name[:30]) for name in list(document)[:6]) or "nothing"
+        raise ClipError(f"JSON without 'Frames'{did_you_mean('Frames', document)}; found {found}")
     frames = document["Frames"]
     if not isinstance(frames, list) or not all(isinstance(frame, list) for frame in frames):
         raise ClipError("'Frames' must be a list of lists of numbers")
@@ -224,10 +225,6 @@ def _rate(document: dict[str, Any]) -> float:
         raise ClipError(f"FrameDuration is {json.dumps(duration)[:40]}; expected a number of seconds")
     check_positive(duration, "FrameDuration", "s")
     return 1.0 / duration if duration > 1e-9 else np.inf
-
-
-def _listed(names: dict[str, Any]) -> str:
-    return ", ".join(repr(name[:30]) for name in list(names)[:6]) or "nothing"
 
 
 FORMAT: Final = Format(

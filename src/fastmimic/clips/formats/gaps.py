@@ -94,7 +94,9 @@ def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
         return np.zeros(points.shape[:2], dtype=bool)
     typical = np.nanpercentile(lengths, _STRAIGHT, axis=0)
     leg = float(np.median(typical[-4:]))
-    paths = _bridged(points)
+    t, columns = np.arange(len(points)), points.reshape(len(points), -1).T
+    straight = [np.interp(t, t[on], x[on]) for on, x in zip(np.isfinite(columns), columns, strict=True)]
+    paths = np.stack(straight, axis=1).reshape(points.shape)  # with straight lines where points are missing
     usual = median_filter(paths, (2 * max(2, round(_AROUND_S * rate_hz)) + 1, 1, 1), mode="nearest")
     found = np.linalg.norm(paths - usual, axis=2) > _JUMP * leg
     whole = np.linalg.norm(np.diff(np.where(found[..., None], usual, paths)[:, ends], axis=2)[:, :, 0], axis=2)
@@ -102,14 +104,6 @@ def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
     for frame in np.flatnonzero(wrong.any(axis=1)):
         found[frame] |= _at_fault(wrong[frame], ends)
     return np.asarray(found & np.isfinite(points).all(axis=2))
-
-
-def _bridged(points: Array) -> Array:
-    """The points (t, k, 3) with straight lines where they are NaN."""
-    t, columns = np.arange(len(points)), points.reshape(len(points), -1).T
-    known = np.isfinite(columns)
-    lines = [np.interp(t, t[on], x[on]) for on, x in zip(known, columns, strict=True)]
-    return np.stack(lines, axis=1).reshape(points.shape)
 
 
 def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
