@@ -100,7 +100,7 @@ def stop_before_work() -> None:
         "viewer.viewer:Viewer.__init__",
         "play.page:PlayPage.__init__",
         "commands.play:ProcessPoolExecutor",
-        "commands.options:gaits_of",
+        "steering.gait_field:_made",
         "render.video:render_video",
         "clips.data:_download",
         "identification.identify:identify",
@@ -243,17 +243,19 @@ def _robots(scratch: Path) -> list[Case]:
 
 
 def _settings() -> list[Case]:
-    """Controllers' parameters, limits, maps of points, and lists of sources."""
+    """Controllers' parameters, limits, maps of points, velocities, and lists of sources."""
     from fastmimic.clips.formats.points import read_point_map
     from fastmimic.control.config import FILE_FORMAT, controller_config, default_config, pack_config
     from fastmimic.dataset import find_sources
     from fastmimic.deploy.safety import SafetyLimits, read_limits
     from fastmimic.robot import load_robot
+    from fastmimic.steering.commands import CommandScript
 
     poses, robot = of_tests("clips/pose_files.py"), load_robot("a1")
     config = {**FILE_FORMAT, "base": "paper", **default_config().as_dict()}
     limits = "".join(f"{name} = {value}\n" for name, value in dataclasses.asdict(SafetyLimits.of(robot)).items())
     points = dict(zip(import_module("fastmimic.clips.clip").POINT_NAMES, poses.NAMES, strict=True))
+    way = "time_s,forwards,left,turn\n0.5,0.5,0,0\n3,0.8,0,-0.8\n6,0,0,0\n"
     sources = "source,frames,fps,up,scale,licence\ntrot,3:40,,,1.0,own\nwalk,,,,,\n"
 
     def controller(folder: Path, draw: Draw) -> None:
@@ -273,6 +275,7 @@ def _settings() -> list[Case]:
         Case(
             "point map", {"map.json": json.dumps(points).encode()}, lambda f, d: _ignore(read_point_map(f / "map.json"))
         ),
+        Case("velocities", {"way.csv": way.encode()}, lambda f, d: _ignore(CommandScript(f / "way.csv")), 3),
         Case("sources", {"sources.csv": sources.encode(), "sources.list": b"trot\nwalk # slow\n\nx.txt\n"}, lists, 4),
     ]
 

@@ -11,6 +11,7 @@
 import argparse
 import hashlib
 import json
+import math
 import os
 import re
 import resource
@@ -35,7 +36,7 @@ from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, Motion
 from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.excerpts import Survey, look_of, survey
 from fastmimic.dataset.index import DONE, FIGURES, record_file, sha256
-from fastmimic.dataset.jobs import Job, distance, perform
+from fastmimic.dataset.jobs import Job, perform, place_of
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.imitation.imitate import imitate
@@ -170,7 +171,8 @@ def warm(say: Callable[[str], None]) -> list[dict[str, Any]]:
             say(f"{name} seed {seed}, cold: {best_so_far(cold[name, seed])[-1]:.4f}")
     rows = []
     for name in WARM_MOTIONS:
-        near = min((n for n in WARM_MOTIONS if n != name), key=lambda n: distance(pieces[name], pieces[n]))
+        apart = {n: math.dist(place_of(pieces[name]), place_of(pieces[n])) for n in WARM_MOTIONS if n != name}
+        near = min(apart, key=apart.__getitem__)
         for seed in range(WARM_SEEDS):
             # another seed's result: what a library has is not of the same search
             start = cold[near, (seed + 1) % WARM_SEEDS].motion
@@ -179,7 +181,7 @@ def warm(say: Callable[[str], None]) -> list[dict[str, Any]]:
                 {
                     "motion": name,
                     "near": near,
-                    "distance": distance(pieces[name], pieces[near]),
+                    "distance": apart[near],
                     "seed": seed,
                     "unmodulated": cold[name, seed].history.baseline,
                     "given": found.history.start if found.history else None,

@@ -85,4 +85,4 @@ def test_another_program_steers_and_its_silence_stops(gaits: GaitField) -> None:
 def test_only_a_steered_robot_listens(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
     assert main(["play", "trot", "--udp", "9870"]) == 2
-    assert "--udp steers a robot; play steer" in capsys.readouterr().err
+    assert "--udp steers a robot; give 'steer'" in capsys.readouterr().err

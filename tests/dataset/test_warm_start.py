@@ -1,13 +1,19 @@
 """The nearest of many pieces: by period, speed, turning and footfall; of equally near ones the first."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fastmimic.dataset import DatasetSource
-from fastmimic.dataset.excerpts import survey
-from fastmimic.dataset.jobs import FARTHEST, Neighbours, distance
+from fastmimic.dataset.excerpts import Excerpt, survey
+from fastmimic.dataset.jobs import FARTHEST, OTHER_FOOTFALL, Neighbours, place_of
+
+
+def distance(a: Excerpt, b: Excerpt) -> float:
+    other = None not in (a.footfall, b.footfall) and a.footfall != b.footfall
+    return math.dist(place_of(a), place_of(b)) + OTHER_FOOTFALL * other
 
 
 def test_the_nearest_is_the_least_distant_of_all() -> None:

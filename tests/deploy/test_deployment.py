@@ -137,8 +137,8 @@ def followed(way: MotionSequence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows, roots, inside = [], [], []
     while not follower.done:
         follower.leaving = follower.steps >= way.motion.n_samples
-        rows.append(follower.table[follower.clock["sample"][0]].copy())
-        roots.append(world_root(follower.table, follower.clock["sample"], follower.clock["origin"])[0][0])
+        rows.append(follower.tables[0][follower.clock["sample"][0]].copy())
+        roots.append(world_root(follower.tables[0], follower.clock["sample"], follower.clock["origin"])[0][0])
         inside.append(follower.in_motion)
         ahead = roots[-1] + (roots[-1] - roots[-2] if len(roots) > 1 else 0.0)
         seen["root_pos"] = ahead
@@ -168,7 +168,7 @@ def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     while not follower.done:
         follower.advance(seen, memory)
         steps += follower.in_motion
-        feet.append(follower.table["joint_pos"][follower.clock["sample"][0]].copy())
+        feet.append(follower.tables[0]["joint_pos"][follower.clock["sample"][0]].copy())
         assert len(feet) < 20_000
     assert stitched.n_samples - trot.n_samples <= steps <= stitched.n_samples
     speed = np.abs(np.diff(feet, axis=0)).max() * 500.0

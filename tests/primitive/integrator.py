@@ -32,7 +32,7 @@ class DmpIntegrator:
         self._longest = 0.5 / float(np.sqrt(dmp.widths.max()))  # half the narrowest basis function
         if position is None:
             self.position = dmp.position(self.phase)
-            self._z = dmp.shape_rate(self.phase)
+            self._z = shape_rate(dmp, self.phase)
         else:
             self.position = np.array(position, dtype=np.float64)
             self._z = np.zeros(dmp.n_dims)
@@ -63,7 +63,15 @@ class DmpIntegrator:
         self.phase = (self.phase + delta) % (2 * np.pi)
 
 
+def shape_rate(dmp: RhythmicDmp, phase: Array | float) -> Array:
+    """ds/dφ at phases (...) → (..., d), by the Fourier series of samples of s."""
+    n = 1024
+    harmonics = np.fft.rfft(dmp.shape(2 * np.pi * np.arange(n) / n), axis=0) / n
+    k = np.arange(len(harmonics))
+    return np.asarray(2.0 * (np.exp(1j * np.multiply.outer(phase, k)) @ (1j * k[:, None] * harmonics)).real)
+
+
 def velocity(dmp: RhythmicDmp, phase: float, amplitude: float = 1.0, period_s: float | None = None) -> Array:
     """ẏ = a s′(φ)/τ of the limit cycle (d,), per second."""
     tau = (dmp.period_s if period_s is None else period_s) / (2 * np.pi)
-    return amplitude * dmp.shape_rate(phase) / tau
+    return amplitude * shape_rate(dmp, phase) / tau

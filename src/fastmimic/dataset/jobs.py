@@ -230,12 +230,6 @@ def _tried(job: Job, result: Imitation) -> Record:
     return figures | {"simulated_s": simulated_s}
 
 
-def distance(a: Excerpt, b: Excerpt) -> float:
-    """Difference of two excerpts, 0 for the same."""
-    other = None not in (a.footfall, b.footfall) and a.footfall != b.footfall
-    return math.dist(_place(a), _place(b)) + OTHER_FOOTFALL * other
-
-
 @dataclass(frozen=True, eq=False)
 class Neighbours:
     """Where searches begin: a library's excerpts by digest, and for each robot (name or file) the best row of each.
@@ -268,7 +262,7 @@ class Neighbours:
             return None
         rows, places, footfalls = self._places[robot]
         other = (footfalls != "") & (footfalls != (piece.footfall or footfalls))
-        apart = np.linalg.norm(places - _place(piece), axis=1) + OTHER_FOOTFALL * other
+        apart = np.linalg.norm(places - place_of(piece), axis=1) + OTHER_FOOTFALL * other
         near = int(np.argmin(np.round(apart, _DIGITS)))
         if apart[near] > FARTHEST:
             return None
@@ -281,10 +275,10 @@ class Neighbours:
         for robot, given in self.best.items():
             rows = sorted(given, key=lambda row: str(row["id"]))
             pieces = [self.pieces[row["piece"]] for row in rows]
-            found[robot] = rows, np.array([_place(p) for p in pieces]), np.array([p.footfall or "" for p in pieces])
+            found[robot] = rows, np.array([place_of(p) for p in pieces]), np.array([p.footfall or "" for p in pieces])
         return found
 
 
-def _place(piece: Excerpt) -> tuple[float, float, float]:
-    """Coordinates of an excerpt; their distance is `distance` without the footfall."""
+def place_of(piece: Excerpt) -> tuple[float, float, float]:
+    """Coordinates of an excerpt, between which the difference is a distance; another footfall adds to it."""
     return math.log(piece.period_s) / TEMPO, piece.speed_m_per_s / SPEED_M_S, piece.yaw_rate_rad_per_s / YAW_RAD_S

@@ -87,11 +87,6 @@ class Follower:
         self._go_live(STAND, pose, 0)
 
     @property
-    def table(self) -> NDArray[Any]:
-        """The present one, (t,) of `SAMPLE`."""
-        return self.tables[0]
-
-    @property
     def text(self) -> str:
         name = self.sequence.motion.name
         return self.sequence.text if self.in_motion else f"blending {'out of' if self._left else 'into'} {name}"
@@ -125,7 +120,7 @@ class Follower:
         way = self.sequence
         self.in_motion, self.tables, self.gains = True, way.table, way.gains[None]
         self.clock = make_clocks(way.motion, 1)
-        place_clocks(self.clock, np.array([(way.first + passed) % way.motion.n_samples]), self.table, pose[None])
+        place_clocks(self.clock, np.array([(way.first + passed) % way.motion.n_samples]), self.tables[0], pose[None])
 
     def advance_motion(self, observation: NDArray[Any], memory: NDArray[Any]) -> bool:
         """A control step in the motion itself; returns whether it has ended."""
@@ -135,7 +130,7 @@ class Follower:
         advance_clocks(clock, self.tables, observation["root_pos"], haste)
         ended = bool(clock["sample"][0] == way.last and (self.leaving or not clock["repeats"][0]))
         if ended:
-            position, quat = world_root(self.table, clock["sample"], clock["origin"])
+            position, quat = world_root(self.tables[0], clock["sample"], clock["origin"])
             self.leave_motion(np.array([*position[0, :2], yaw_from_quat(quat)[0]]))
         return ended
 
@@ -151,7 +146,7 @@ class Follower:
         self._show_live()
 
     def _show_live(self) -> None:
-        self._live.fill(self.table)
+        self._live.fill(self.tables[0])
         self.clock["origin"], self.gains = self._live.place["pose"], self._live.gains[None]
 
 
@@ -170,21 +165,17 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     enters = _way(library, STAND, start)[-1].arrive
     arrive = (enters + first_shift) % first.n_samples
 
-    n = last.n_samples
+    n, text = last.n_samples, motion.name
     # early enough for a controller that plans ahead to see the transition
-    leaves = _way(library, end, STAND)[0].leave - ahead
-    begins = leaves % n
-    ends = begins
+    leaves = ends = (_way(library, end, STAND)[0].leave - ahead) % n
     if motion.target.parts:
-        begins, ends = (motion.n_samples - 1 - last_shift) % n, motion.n_samples - 1
+        leaves, ends = (motion.n_samples - 1 - last_shift) % n, motion.n_samples - 1
     elif motion.cycle is None:  # within its last stride
-        begins = max(0, (leaves + ahead) % n - ahead)
-        ends = last_shift + begins
-    text = motion.name
-    if motion.cycle is None and not motion.target.parts:
+        leaves = max(0, (leaves + ahead) % n - ahead)
+        ends = last_shift + leaves
         text = _passage(motion, arrive, ends)
     stand = np.array(library.entry(STAND).motion.joint_pos[0])
-    return MotionSequence(motion, text, table, own, arrive, ends, library, start, enters, end, begins, stand, ahead)
+    return MotionSequence(motion, text, table, own, arrive, ends, library, start, enters, end, leaves, stand, ahead)
 
 
 def _passage(motion: Motion, first: int, last: int) -> str:

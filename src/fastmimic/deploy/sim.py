@@ -261,7 +261,6 @@ class SimDriver(RobotDriver):
         world = make_world(chosen.disturbances, 1, chosen.simulator)
         sensors = Sensors(robot, 1, rate_hz, chosen.sensors, world)
         self.body = SimulatedBody(robot, simulation, sensors, rate_hz, start)
-        self._is_open = False
         self._truth: list[NDArray[Any]] = []
 
     @property
@@ -282,10 +281,9 @@ class SimDriver(RobotDriver):
         self._truth = [self.body.observation.copy()]
         self._epoch = self._now()
         self._states.send(self._epoch - self._faults.latency_s, 0, reading)
-        self._is_open = True
 
     def close(self) -> None:
-        self._is_open = False
+        """Nothing: it ends with the program."""
 
     def _now(self) -> float:
         return self._clock.now()
@@ -298,7 +296,6 @@ class SimDriver(RobotDriver):
         return True
 
     def _newest(self) -> StateMessage | None:
-        assert self._is_open
         now, newest = self._now(), None
         behind = now - self._epoch - self.body.steps * self._dt
         if behind > _MOST_BEHIND_S:  # nothing read it meanwhile: it stood still

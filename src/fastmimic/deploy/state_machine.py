@@ -157,7 +157,7 @@ class StateMachine:
         one, a period if None. Returns (1,) of `COMMAND`, overwritten by the next call; it must not be sent if
         `violation` is set."""
         following, follower = self.phase is DeploymentPhase.FOLLOW, self.follower
-        reference = (follower.table, follower.clock) if following else (None, None)
+        reference = (follower.tables[0], follower.clock) if following else (None, None)
         elapsed_s = self.dt if elapsed_s is None else elapsed_s
         self.violation = self._check(reading, elapsed_s, *reference)
         if self.violation is not None:
@@ -183,7 +183,7 @@ class StateMachine:
         observation, follower = self.observation, self.follower
         if follower.advance(observation, self.controller.memory):
             self._switch_controller()
-        self.violation = self.guard.check_estimate(observation, follower.table, follower.clock)
+        self.violation = self.guard.check_estimate(observation, follower.tables[0], follower.clock)
         if self.violation is None and not self.guard.dry:  # in a dry run the legs bear nothing
             self.violation = self.guard.check_doubt(self._load.check(self.estimator.load, self.dt))
         if self.violation is not None:

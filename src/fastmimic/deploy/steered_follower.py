@@ -47,5 +47,5 @@ class SteeredFollower(Follower):
         return False
 
     def _show(self) -> None:
-        self._steered.fill(self.table)
+        self._steered.fill(self.tables[0])
         self.clock["origin"] = self._steered.place["pose"]

@@ -351,7 +351,6 @@ class LiveSession:
 
     def _has_fallen(self) -> None:
         self.falls += 1
-        self.reference.give_up_transition()
         self._recovery.begin()
 
     def _get_up(self) -> None:

@@ -96,11 +96,6 @@ class RhythmicDmp:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
         return _series(phase, self._harmonics)
 
-    def shape_rate(self, phase: Array | float) -> Array:
-        """ds/dφ at phases (...) → (..., d)."""
-        k = np.arange(len(self._harmonics))
-        return _series(phase, 1j * k[:, None] * self._harmonics)
-
     def position(self, phase: Array | float, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
         """Limit cycle y = g + a s(φ) at phases (...) → (..., d); `goal` and `amplitude` (d,) modulate it."""
         return (self.goal if goal is None else goal) + amplitude * self.shape(phase)

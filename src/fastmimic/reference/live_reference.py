@@ -59,18 +59,14 @@ class LiveReference:
 
     def put(self, x: float, y: float, yaw: float) -> None:
         """Starts the present motion here; drops a transition."""
-        self.give_up_transition()
+        self._transition = None
+        self._disarm()
         self.place[...] = make_place()
         self.place["pose"][0] = (x, y, yaw)
 
     def stand(self, x: float, y: float, yaw: float) -> None:
         """Starts standing here."""
         self.begin(STAND, np.array([x, y, yaw]))
-
-    def give_up_transition(self) -> None:
-        """Leaves a transition, or drops the next one."""
-        self._transition = None
-        self._disarm()
 
     def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
         """Fills rows of `SAMPLE` with the reference from now on; if `scored`, with the demonstration."""

@@ -37,15 +37,11 @@ class CommandScript:
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
             named = bool(lines) and any(letter.isalpha() for letter in lines[0])
-            self._rows = np.array([[float(each) for each in line.split(",")] for line in lines[named:]])
+            self._rows = rows = np.array([[float(each) for each in line.split(",")] for line in lines[named:]])
+            if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
+                raise ValueError("each line has a later time, s, and the velocity in m/s, m/s and rad/s, by commas")
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path} has no velocities: {error}") from None
-        rows = self._rows
-        if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
-            raise ConfigError(
-                f"{path} has no velocities: each line has a later time, s, and the velocity forwards, to the left, m/s,"
-                " and turning, rad/s, between commas"
-            )
         self.end_s: float | None = float(rows[-1, 0])
 
     def velocity(self, time_s: float) -> Array | None:

@@ -107,9 +107,6 @@ class Steered:
         self.place["wanted"] = self.field.nearest(velocity)
         return np.array(self.place["wanted"][0])
 
-    def give_up_transition(self) -> None:
-        """Nothing: a steered robot has no transitions."""
-
     def update(self) -> None:
         """Nothing: all happens in `advance`."""
 
