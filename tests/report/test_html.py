@@ -183,6 +183,15 @@ def test_goes_without_what_is_missing(
     run: Path, capsys: pytest.CaptureFixture[str], file: str, gone: set[str], stays: set[str]
 ) -> None:
     (run / file).unlink()
+    _goes_without(run, capsys, file, gone, stays)
+
+
+def test_goes_without_settings_of_another_form(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "config.json").write_text('{"arguments": 5}')
+    _goes_without(run, capsys, "config.json", {"foot-z", "gait", "friction"}, {"convergence", "parameters", "video"})
+
+
+def _goes_without(run: Path, capsys: pytest.CaptureFixture[str], file: str, gone: set[str], stays: set[str]) -> None:
     capsys.readouterr()
     assert main(["report", str(run)]) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if "warning" in line]

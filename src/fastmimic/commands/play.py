@@ -71,7 +71,9 @@ class Play:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:
                     return serve(page, ", ".join(library.names), self.port)
             finally:
-                executor.shutdown(wait=False, cancel_futures=True)
+                executor.shutdown(
+                    cancel_futures=True
+                )  # waits: the interpreter's own exit does not close the pool safely
 
     def _steered(self, config: ControllerConfig, conditions: Conditions) -> int:
         """A robot that is steered."""

@@ -122,7 +122,10 @@ def read_run(path: Path) -> RunData:
     config: dict[str, Any] = {}
     try:
         config = read_json(path / CONFIG)
+        if not isinstance(config.get("arguments", {}), dict):
+            raise ConfigError(f"{path / CONFIG}: not the settings of a run (arguments: {config['arguments']})")
     except ConfigError as error:
+        config = {}
         missing.append(f"{error}: without arguments and controller, and without the plots of the episodes")
     search = None
     if metrics["parameters"]:
