@@ -324,8 +324,7 @@ def _logs(scratch: Path) -> list[Case]:
     from fastmimic.control.config import default_config
     from fastmimic.deploy import log as logs
     from fastmimic.deploy.log_file import LogFile
-    from fastmimic.episode.run_log import RunLog
-    from fastmimic.robot.state import COMMAND, OBSERVATION, READING
+    from fastmimic.robot.state import OBSERVATION
     from fastmimic.runs.loading import load_motion
 
     steps = 20
@@ -347,9 +346,6 @@ def _logs(scratch: Path) -> list[Case]:
         return begun
 
     killed = write(scratch / "log.mcap", meta)
-    stance = np.ones((steps, 4), bool)
-    state = (np.zeros(steps, READING), np.zeros(steps, COMMAND), np.zeros(steps, OBSERVATION), stance)
-    RunLog("a1", "trot", 500.0, 0.002, *state).save(scratch / "run.npz")
     real = LogFile(scratch / "truth.mcap", {logs.ROBOT_SIM: logs.GROUND_TRUTH}, steps)
     real.add_rows(np.arange(steps), {logs.ROBOT_SIM: np.zeros(steps, logs.GROUND_TRUTH)})
     real.end({})
@@ -369,12 +365,11 @@ def _logs(scratch: Path) -> list[Case]:
             write(folder / "log.mcap", meta)
         use("log.mcap", folder, draw)
 
-    named = {name: (scratch / name).read_bytes() for name in ("log.mcap", "run.npz", "truth.mcap")}
+    named = {name: (scratch / name).read_bytes() for name in ("log.mcap", "truth.mcap")}
     return [
         Case("log of a deployment", {"log.mcap": named["log.mcap"]}, partial(use, "log.mcap"), 8),
         Case("log of a deployment with other facts", {}, other_facts, 8),
         Case("log of a killed deployment", {"log.mcap": killed}, partial(use, "log.mcap"), 8),
-        Case("log of a run", {"run.npz": named["run.npz"]}, partial(use, "run.npz"), 5),
         Case(
             "ground truth",
             {"truth.mcap": named["truth.mcap"]},

@@ -1,19 +1,15 @@
-"""What one logged run says of friction and payload, and what knowing it is worth: tables and figure of
-docs/robustness.md.
+"""What one logged run says of friction and payload, and what knowing it is worth: tables of docs/robustness.md.
 
     python benchmarks/identification.py [--motions dog:trot …] [--trials 4] [--write]
 
 Every run has sensors. Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA. `--write` puts the tables
-between the markers in docs/robustness.md, and the figure next to it.
+between the markers in docs/robustness.md.
 """
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from marked import put
-from matplotlib.figure import Figure
 
 from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig, default_config
@@ -24,19 +20,16 @@ from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.transfer import ACTUATORS, trial_starts
 from fastmimic.identification.identify import Identification, identify
 from fastmimic.motion.motion import Motion
-from fastmimic.render.figure_style import new_figure, save, tidy
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions, Disturbance
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-FIGURE = DOCS / "images" / "identification.png"
 FLOORS = (0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 PAYLOADS = (0.0, 1.0, 2.0, 3.0, 5.0)
 SLIPPERY = (0.4, 0.5, 0.6)
 RUN_S = 5.0
 SIDE_STEPS = "anim:side-steps"
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 
 def conditions(simulator: str, **disturbances: float) -> Conditions:
@@ -70,29 +63,23 @@ def try_identify(log: RunLog, robot: Robot, unloaded: RunLog | None = None) -> I
         return None
 
 
-def friction_table(robot: Robot, motions: list[Motion]) -> tuple[list[str], dict[str, Any]]:
+def friction_table(robot: Robot, motions: list[Motion]) -> list[str]:
     """Identified friction over floors and motions."""
     lines = [f"| true friction | {' | '.join(f'`{m.name}`' for m in motions)} |", "| --- " * (1 + len(motions)) + "|"]
-    points: dict[str, Any] = {motion.name: [] for motion in motions}
     for floor in FLOORS:
-        cells = []
-        for motion in motions:
-            found = try_identify(logged(robot, motion, conditions("mujoco", friction=floor)), robot)
-            cells.append(shown(found))
-            if found is not None:
-                points[motion.name].append((floor, found.friction))
+        where = conditions("mujoco", friction=floor)
+        cells = [shown(try_identify(logged(robot, motion, where), robot)) for motion in motions]
         lines.append(f"| {floor:g} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
-    return lines, points
+    return lines
 
 
-def payload_table(robot: Robot, motions: list[Motion]) -> tuple[list[str], dict[str, Any]]:
+def payload_table(robot: Robot, motions: list[Motion]) -> list[str]:
     """Identified payload over masses and motions, with an unloaded run and without."""
     lines = [
         f"| true payload, kg | {' | '.join(f'`{m.name}`' for m in motions)} |",
         "| --- " * (1 + len(motions)) + "|",
     ]
-    points: dict[str, Any] = {motion.name: [] for motion in motions}
     empty = {motion.name: logged(robot, motion, conditions("mujoco")) for motion in motions}
     for mass in PAYLOADS:
         cells = []
@@ -104,10 +91,9 @@ def payload_table(robot: Robot, motions: list[Motion]) -> tuple[list[str], dict[
                 cells.append("fell")
                 continue
             cells.append(f"{t.mass:.2f} ± {t.upper - t.mass:.2f} ({a.mass:.2f} ± {a.upper - a.mass:.2f})")
-            points[motion.name].append((mass, t))
         lines.append(f"| {mass:g} | {' | '.join(cells)} |")
         print(lines[-1], flush=True)
-    return lines, points
+    return lines
 
 
 def trials(robot: Robot, motion: Motion, where: Conditions, config: ControllerConfig, count: int) -> Rollout:
@@ -148,40 +134,6 @@ def before_and_after(robot: Robot, motions: list[Motion], count: int) -> list[st
     return lines
 
 
-def draw(friction: dict[str, Any], payload: dict[str, Any]) -> Figure:
-    """Identified against true."""
-    figure = new_figure(9.0, 4.0, "Identified from one run of 5 s with sensors")
-    left, right = figure.subplots(1, 2)
-    for axes, most in ((left, 1.05), (right, 5.3)):
-        axes.plot([0, most], [0, most], color="0.6", linewidth=1, zorder=1)
-    for k, (color, (name, found)) in enumerate(zip(COLORS, friction.items(), strict=False)):
-        shift = 0.008 * (k - 1.5)
-        for true, f in found:
-            if f.value is None:
-                left.annotate(
-                    "",
-                    (true + shift, f.lower + 0.06),
-                    (true + shift, f.lower),
-                    arrowprops={"arrowstyle": "->", "color": color},
-                )
-                left.plot(true + shift, f.lower, "_", color=color, markersize=7)
-            else:
-                bars = np.array([[f.value - f.lower], [f.upper - f.value]])
-                left.errorbar(true + shift, f.value, bars, fmt="o", color=color, capsize=2, markersize=4)
-        left.plot([], [], "o", color=color, label=name, markersize=4)
-    for k, (color, (_, found)) in enumerate(zip(COLORS, payload.items(), strict=False)):
-        for true, p in found:
-            right.errorbar(true + 0.05 * (k - 1.5), p.mass, p.mass - p.lower, fmt="o", color=color, markersize=4)
-    tidy(left, "friction; arrows: at least")
-    tidy(right, "payload, with an unloaded run")
-    left.set_xlabel("true", fontsize=9)
-    left.set_ylabel("identified", fontsize=9)
-    right.set_xlabel("true, kg", fontsize=9)
-    right.set_ylabel("identified, kg", fontsize=9)
-    left.legend(fontsize=8, frameon=False, loc="upper left")
-    return figure
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--motions", nargs="+", default=list(PAPER_MOTIONS))
@@ -190,8 +142,8 @@ def main() -> None:
     args = parser.parse_args()
     robot = load_robot("a1")
     motions = [load_motion(name, robot) for name in args.motions]
-    friction, friction_points = friction_table(robot, motions)
-    payload, payload_points = payload_table(robot, motions)
+    friction = friction_table(robot, motions)
+    payload = payload_table(robot, motions)
     worth_it = before_and_after(robot, motions, args.trials)
     text = "\n".join(
         [
@@ -212,7 +164,6 @@ def main() -> None:
     print(text)
     if args.write:
         put(DOCS / "robustness.md", "identification", text)
-        save(draw(friction_points, payload_points), FIGURE)
 
 
 if __name__ == "__main__":

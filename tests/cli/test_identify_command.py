@@ -1,4 +1,4 @@
-"""`fastmimic evaluate --log`, `fastmimic identify` and `--config FILE`: from a run to other commands."""
+"""`fastmimic identify` and `--config FILE`: from a deployment to other commands."""
 
 import json
 from pathlib import Path
@@ -7,15 +7,14 @@ import pytest
 
 from cli.running import Run
 
-SHORT = ("--duration", "1.2", "--observe", "sensors")
+DEPLOY = ("deploy", "trot", "--driver", "sim", "--lock-step", "--duration", "1.2")
 
 
-def test_from_a_run_to_the_controller(run: Run, in_folder: Path) -> None:
-    done = run("evaluate", "trot", *SHORT, "--disturb", "payload=4", "--log", "run.npz")
-    assert done.status == 0, done.err
-    assert done.out.endswith("log in run.npz\n")
-    assert run("evaluate", "trot", *SHORT, "--log", "empty.npz").status == 0
-    found = run("identify", "run.npz", "--unloaded", "empty.npz", "--out", "mine.json")
+def test_from_a_deployment_to_the_controller(run: Run, in_folder: Path) -> None:
+    for folder, more in (("loaded", ("--disturb", "payload=4")), ("empty", ())):
+        done = run(*DEPLOY, *more, "--out", folder)
+        assert done.status == 0, done.err
+    found = run("identify", "loaded", "--unloaded", "empty", "--out", "mine.json")
     assert found.status == 0, found.err
     assert "friction                  at least 0." in found.out
     assert "the controller assumes  0.6 as before" in found.out
@@ -28,12 +27,9 @@ def test_from_a_run_to_the_controller(run: Run, in_folder: Path) -> None:
 
 
 def test_one_line_for_what_cannot_be_done(run: Run, in_folder: Path) -> None:
-    assert "add --observe sensors" in run("evaluate", "trot", "--log", "run.npz").error
-    assert "must end in .npz" in run("evaluate", "trot", *SHORT, "--log", "run.csv").error
-    assert "none.npz: no such file" in run("identify", "none.npz").error
-    (in_folder / "half.npz").write_bytes(b"PK")
-    assert "half.npz: not a readable log of a run" in run("identify", "half.npz").error
-    assert "none.json: no such file" in run("evaluate", "trot", "--config", "none.json").error
-    assert run("evaluate", "trot", "--observe", "sensors", "--duration", "0.6", "--log", "short.npz").status == 0
-    assert "short.npz: the log is 0.60 s long; at least 1 s" in run("identify", "short.npz", "--out", "x.json").error
+    assert "none.mcap: no such file" in run("identify", "none.mcap").error
+    (in_folder / "half.mcap").write_bytes(b"PK")
+    assert "half.mcap: not the log of a deployment" in run("identify", "half.mcap").error
+    assert run(*DEPLOY[:-1], "0.4", "--out", "short").status == 0
+    assert "s long; at least 1 s" in run("identify", "short", "--out", "x.json").error
     assert not (in_folder / "x.json").exists()

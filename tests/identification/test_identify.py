@@ -16,7 +16,7 @@ from fastmimic.imitation.evaluate import evaluate
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.conditions import Conditions, Disturbance
-from identification.conftest import STEPS, MakeLog
+from identification.conftest import MakeLog
 
 
 class TestForces:
@@ -140,45 +140,15 @@ class TestWhatCannotBeIdentified:
         with pytest.raises(LogError, match=r"0\.40 s long; at least 1 s"):
             identify(dataclasses.replace(log, **cut), robot)
 
+    def test_readings_that_are_no_numbers(self, robot: Robot, make_log: MakeLog) -> None:
+        reading = make_log().reading.copy()
+        reading["torque"][500, 3] = np.nan
+        with pytest.raises(LogError, match="'torque' is not always finite"):
+            identify(dataclasses.replace(make_log(), reading=reading), robot)
+
     def test_a_robot_that_lies(self, robot: Robot, make_log: MakeLog) -> None:
         log = make_log()
         lying = log.estimate.copy()
         lying["root_quat"] = [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]
         with pytest.raises(LogError, match="feet stand in only 0 control steps"):
             identify(dataclasses.replace(log, estimate=lying), robot)
-
-
-class TestLogFile:
-    def test_keeps_everything_but_what_no_sensor_tells(self, make_log: MakeLog, tmp_path: Path) -> None:
-        log = make_log(noise=0.1)
-        log.save(tmp_path / "run.npz")
-        found = RunLog.load(tmp_path / "run.npz")
-        assert (found.robot, found.motion, found.rate_hz, found.latency_s) == ("a1", "by hand", 500.0, 0.0)
-        for name in ("reading", "command", "estimate"):
-            for field in getattr(log, name).dtype.names:
-                assert getattr(found, name)[field] == pytest.approx(getattr(log, name)[field], rel=1e-6, abs=1e-6)
-        assert (found.stance == log.stance).all()
-
-    def test_refuses_what_is_damaged(self, make_log: MakeLog, tmp_path: Path) -> None:
-        path = tmp_path / "run.npz"
-        with pytest.raises(LogError, match="no such file"):
-            RunLog.load(path)
-        make_log().save(path)
-        whole = path.read_bytes()
-        path.write_bytes(whole[: len(whole) // 2])
-        with pytest.raises(LogError, match="not a readable log of a run, perhaps cut off"):
-            RunLog.load(path)
-        path.write_bytes(whole)
-        with np.load(path) as file:
-            arrays = dict(file)
-        for changes, said in (
-            ({"reading_torque": arrays["reading_torque"][:-1]}, r"'reading_torque' is float32\(999, 12\)"),
-            ({"command_torque": np.full((STEPS, 12), np.nan)}, "'command_torque' is not finite in row 0"),
-            ({"about": np.array("{}")}, "not the log of a run"),
-        ):
-            np.savez(path, **{**arrays, **changes})
-            with pytest.raises(LogError, match=said):
-                RunLog.load(path)
-        np.savez(path, **{name: value for name, value in arrays.items() if name != "estimate_root_quat"})
-        with pytest.raises(LogError, match="'estimate_root_quat' is missing"):
-            RunLog.load(path)

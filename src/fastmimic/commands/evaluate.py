@@ -15,7 +15,6 @@ from fastmimic.commands.deployment_logs import check_truth, open_log
 from fastmimic.commands.show import figure_rows, provenance, yes_no
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log
-from fastmimic.episode.run_log import RunLog
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot import ROBOT_CHOICES, load_robot
 from fastmimic.simulation.conditions import Conditions
@@ -51,9 +50,6 @@ class Evaluate:
     disturb: opt.Disturbances = ()
     terrain: opt.TerrainName = None
     ideal: opt.Ideal = False
-    log: Annotated[Path | None, opt.option("FILE.npz")] = None
-    """Log sensor readings, commands and estimates of episode 0 (no ground truth), for 'fastmimic identify'. Needs
-    --observe sensors."""
     truth: Annotated[Path | None, opt.option("FILE")] = None
     """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     json: opt.JsonFlag = False
@@ -70,10 +66,6 @@ class Evaluate:
         conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb), estimator=estimator)
         if self.foot_force != "auto" and self.observe != "sensors":
             raise ConfigError("--foot-force is for a controller that sees sensors; add --observe sensors")
-        if self.log is not None:
-            opt.check_writable(self.log, ".npz")
-            if self.observe != "sensors":
-                raise ConfigError("--log writes sensor readings; add --observe sensors")
         robot, motion = self.clip.load(self.motion, self.robot)
         controller = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
         with slow_start():
@@ -85,10 +77,7 @@ class Evaluate:
                 duration_s=self.duration,
                 controller=controller,
                 conditions=conditions,
-                log=self.log is not None,
             )
-        if self.log is not None:
-            evaluation.run_log().save(self.log)
         figures = evaluation.as_dict() | {
             "simulator": conditions.simulator,
             "disturbances": {d.name: d.values[0] for d in conditions.disturbances},
@@ -102,8 +91,6 @@ class Evaluate:
         if conditions.simulator != "mujoco" or conditions.disturbances or conditions.terrain is not None:
             said = f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}"
             put(said if conditions.terrain is None else f"{said}; ground: {conditions.terrain}")
-        if self.log is not None:
-            put(f"log in {self.log}")
         return 0
 
     def _deployed(self) -> int:
@@ -152,19 +139,19 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Identify:
-    """Estimates the ground's friction and the trunk's payload from a logged run; the result holds for all motions.
+    """Estimates the ground's friction and the trunk's payload from a deployment; the result holds for all motions.
 
-    'fastmimic evaluate MOTION --observe sensors --log FILE.npz' and 'fastmimic deploy' write such a log: sensor
-    readings, commands and estimates. The result is a controller configuration for --config FILE.json of other verbs.
+    A few seconds of 'fastmimic deploy' are enough, on a robot or with --driver sim. The result is a controller
+    configuration for --config FILE.json of other verbs.
     """
 
-    log: Annotated[Positional[Path], opt.option("LOG")]
-    """Log of a run of a few seconds (.npz), or the folder or log of a deployment."""
+    log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]
+    """Folder or log of a deployment."""
     robot: Annotated[
         str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
     ] = None
-    unloaded: Annotated[Path | None, opt.option("LOG")] = None
-    """Log of the same robot without payload; it cancels the gain errors of the sensors."""
+    unloaded: Annotated[Path | None, opt.option("DEPLOYMENT")] = None
+    """A deployment of the same robot without payload; it cancels the gain errors of the sensors."""
     config: opt.ConfigName = "default"
     out: Annotated[Path | None, opt.option("FILE.json")] = None
     """File of the configuration. Default: it is not written."""
@@ -175,8 +162,8 @@ class Identify:
         if self.out is not None:
             opt.check_writable(self.out, ".json")
         config = controller_config(self.config)
-        log = _run_log(self.log)
-        unloaded = None if self.unloaded is None else _run_log(self.unloaded)
+        log = DeploymentLog.load(self.log).run_log()
+        unloaded = None if self.unloaded is None else DeploymentLog.load(self.unloaded).run_log()
         robot = load_robot(self.robot or log.robot)
         with naming(self.log, LogError):
             found = identify(log, robot, unloaded)
@@ -186,11 +173,6 @@ class Identify:
             found.save(self.out, self.config)
             put(f"controller parameters in {self.out}; use them by --config {self.out}")
         return 0
-
-
-def _run_log(path: Path) -> RunLog:
-    """The log of a run, or the part of a deployment's log in which the motion ran."""
-    return DeploymentLog.load(path).run_log() if is_deployment_log(path) else RunLog.load(path)
 
 
 def _identified(found: "Identification", assumed: float, before: float) -> list[tuple[str, str]]:
@@ -207,6 +189,6 @@ def _identified(found: "Identification", assumed: float, before: float) -> list[
         return [*rows, ("payload", "unknown: the feet never stood long enough")]
     weighed = f"{payload.mass:.2f} kg (95 %: {payload.lower:.2f} to {payload.upper:.2f})"
     if not payload.tared:
-        weighed += "; --unloaded LOG of a run without payload narrows the interval"
+        weighed += "; --unloaded with a deployment without payload narrows the interval"
     taken = f"{payload.certain:.2f} kg" if payload.certain > 0 else "no payload: the interval includes 0"
     return [*rows, ("payload", weighed), ("  the controller assumes", taken)]

@@ -52,11 +52,16 @@ class GroundForces:
 
 
 def ground_forces(log: RunLog, robot: Robot) -> GroundForces:
-    """Forces and speeds of the feet in a log; raises `LogError` if it is of another robot, or too short."""
+    """Forces and speeds of the feet in a log; raises `LogError` if it is of another robot, too short, or not
+    finite."""
     if log.robot != robot.name:
         raise LogError(f"the log is of robot '{log.robot}', not of '{robot.name}'; give --robot {log.robot}")
     if log.duration_s < LEAST_S:
         raise LogError(f"the log is {log.duration_s:.2f} s long; at least {LEAST_S:g} s are needed")
+    for record in (log.reading, log.command, log.estimate):
+        for name in record.dtype.names or ():
+            if not np.isfinite(record[name]).all():
+                raise LogError(f"the log's '{name}' is not always finite; identify from another deployment")
     dt, late, reading = 1.0 / log.rate_hz, round(log.latency_s * log.rate_hz), log.reading
 
     window = 2 * round(0.5 * SMOOTHING_S / dt) + 1
