@@ -13,16 +13,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-from fastmimic.base.arrays import Array
-from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
+from fastmimic.steering.command_errors import CommandErrors
 from fastmimic.steering.gait_field import GaitField, gait_field
 
 EPISODE_S = 30.0
@@ -35,12 +33,6 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-_MEAN_S: Final = 1.0  # at the end of a command, over which its velocity is measured
-_STRIDE_S: Final = 0.5  # over which the velocity of a response is averaged
-_REACHED: Final = 0.63  # share of a change, of which the time is the response
-_CHANGE: Final = (0.5, 0.2, 1.0)  # least change whose response is measured, m/s, m/s, rad/s
-
-
 @dataclass(frozen=True)
 class Command:
     """A velocity wanted from a time on, s: forwards and to the left, m/s, turning to the left, rad/s."""
@@ -51,32 +43,22 @@ class Command:
 
 @dataclass
 class SteeringFigures:
-    """What came of commands: `seconds` simulated, `falls`, and of each command in which the robot did not fall the
-    error of the mean velocity in its last second, m/s, and of the turn rate, rad/s; the response times, s, until 63 %
-    of a greater change; the number of commands beyond the gaits, which the nearest velocity was taken for."""
+    """What came of commands: `seconds` simulated, `falls`, the number of commands beyond the gaits, which the nearest
+    velocity was taken for, and the errors."""
 
     seconds: float = 0.0
     falls: int = 0
-    velocity_error: list[float] = field(default_factory=list)
-    yaw_rate_error: list[float] = field(default_factory=list)
-    response_s: list[float] = field(default_factory=list)
     beyond: int = 0
+    errors: CommandErrors = field(default_factory=CommandErrors)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-serialisable; medians, None without values."""
-
-        def median(values: list[float]) -> float | None:
-            return float(np.median(values)) if values else None
-
-        response = median(self.response_s)
+        """JSON-serialisable."""
         return {
             "minutes": self.seconds / 60.0,
-            "commands": len(self.velocity_error),
+            "commands": len(self.errors.velocity),
             "commands_beyond_the_gaits": self.beyond,
             "falls": self.falls,
-            "velocity_error_m_s": median(self.velocity_error),
-            "yaw_rate_error_rad_s": median(self.yaw_rate_error),
-            "response_ms": None if response is None else 1e3 * response,
+            **self.errors.as_dict(),
         }
 
 
@@ -92,45 +74,24 @@ def follow(
     have them or not."""
 
     ends = [command.time_s for command in commands[1:]] + [seconds]
-    begins, rows = session.time_s, [_velocity(session)]
-    parts: list[tuple[Command, int, int]] = []  # the commands in which the robot did not fall, their first and last row
+    begins, states, wanted, fell = session.time_s, [], [], []
+    going = True
     for command, end in zip(commands, ends, strict=True):
         taken = session.steer(command.velocity)
         found.beyond += bool(np.abs(taken - command.velocity).max() > 1e-6)
-        falls, first, going = session.falls, len(rows), True
         while going and session.time_s - begins < min(end, seconds) - 1e-9:
+            falls = session.falls
             session.step()
-            rows.append(_velocity(session))
+            states.append(session.observation.copy())
+            wanted.append(command.velocity)
+            fell.append(session.falls > falls)
             going = go_on()
-        found.falls += session.falls - falls
-        if session.falls == falls and len(rows) > first:
-            parts.append((command, first, len(rows)))
         if not going:
             break
+    found.falls += sum(fell)
     found.seconds += session.time_s - begins
-    _measure(np.array(rows), parts, session.dt, found)
+    found.errors.add(np.array(states), np.array(wanted), session.dt, np.array(fell))
     return found
-
-
-def _velocity(session: LiveSession) -> Array:
-    """The robot's true velocity (3,), heading frame."""
-    obs = session.observation
-    planar = rotate_planar(-float(yaw_from_quat(obs["root_quat"])), obs["lin_vel"][:2])
-    return np.array([*planar, obs["ang_vel"][2]])
-
-
-def _measure(rows: Array, parts: list[tuple[Command, int, int]], dt: float, found: SteeringFigures) -> None:
-    smooth = uniform_filter1d(rows, max(1, round(_STRIDE_S / dt)), axis=0, mode="nearest")
-    for command, first, last in parts:
-        wanted = np.array(command.velocity)
-        error = rows[max(first, last - round(_MEAN_S / dt)) : last].mean(axis=0) - wanted
-        found.velocity_error.append(float(np.hypot(*error[:2])))
-        found.yaw_rate_error.append(abs(float(error[2])))
-        change = wanted - smooth[first]
-        for axis in np.flatnonzero(np.abs(change) > _CHANGE):
-            share = (smooth[first:last, axis] - smooth[first, axis]) / change[axis]
-            if (share >= _REACHED).any():
-                found.response_s.append(float(np.argmax(share >= _REACHED)) * dt)
 
 
 def main() -> None:

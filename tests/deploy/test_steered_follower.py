@@ -45,7 +45,13 @@ def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) ->
     np.testing.assert_allclose(wanted[[50, 800, 1800, 2500]], [[0, 0, 0], [0.6, 0, 0], [0.5, 0, 0.8], [0, 0, 0]])
     assert 1.5 < done.result["way_m"] < 2.5
     assert (done.result["cycles"], done.result["reward_mean"]) == (None, None)
-    assert dict(summary_rows(done.result))["in motion"].startswith("– cycles, ")
+    assert done.result["velocity_error_m_s"] < 0.05
+    assert done.result["yaw_rate_error_rad_s"] < 0.1
+    assert 100 < done.result["response_ms"] < 900
+    said = dict(summary_rows(done.result))
+    assert said["steered"].endswith(f"{done.result['way_m']:.1f} m")
+    assert said["velocity error, median"].endswith(" rad/s")
+    assert said["response, median"].endswith(" ms")
     with pytest.raises(DeploymentError, match="the robot was steered"):
         evaluation_of(a1, done.log, default_config())
 

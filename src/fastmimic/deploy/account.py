@@ -55,12 +55,18 @@ def with_result(robot: Robot, log: DeploymentLog) -> DeploymentLog:
 def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Names and values of a deployment's figures; without times if it ran on a virtual clock."""
     r, packets = result, result["packets"]
+    way = f"{r['motion_s']:.1f} s, {r['way_m']:.1f} m"
     rows = [
         ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
         ("fell", "yes" if r["fell"] else "no"),
-        ("in motion", f"{number(r['cycles'], 1)} cycles, {r['motion_s']:.1f} s, {r['way_m']:.1f} m"),
-        ("reward, estimated", number(r["reward_mean"], 3)),
     ]
+    if "response_ms" in r:
+        errors = f"{number(r['velocity_error_m_s'], 3)} m/s, {number(r['yaw_rate_error_rad_s'], 3)} rad/s"
+        rows += [("steered", way), ("velocity error, median", errors)]
+        rows.append(("response, median", f"{number(r['response_ms'], 0)} ms"))
+    else:
+        rows.append(("in motion", f"{number(r['cycles'], 1)} cycles, {way}"))
+        rows.append(("reward, estimated", number(r["reward_mean"], 3)))
     if r["reward_truth_mean"] is not None:
         rows.append(("reward, ground truth", number(r["reward_truth_mean"], 3)))
     if r["swing_clearance_m"] is not None:

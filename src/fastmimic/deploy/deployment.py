@@ -36,6 +36,7 @@ from fastmimic.reference.table import advance_clocks, make_clocks, reference_tab
 from fastmimic.robot import Robot
 from fastmimic.robot.state import MEMORY
 from fastmimic.simulation.conditions import Conditions
+from fastmimic.steering.command_errors import CommandErrors
 
 DEFAULT_S: Final = 10.0
 _WAY_S: Final = 0.5  # between the places of which the way is the sum
@@ -332,10 +333,20 @@ def result_of(
         "cycles": None if log.meta.get("steered") else float(inside.sum() / log.motion.n_samples),
         "motion_s": float(inside.sum() / log.rate_hz),
         "way_m": float(np.hypot(*np.diff(places[:, :2], axis=0).T).sum()),
+        **(command_errors(log) if log.meta.get("steered") else {}),
         **figures(score_log(robot, log, config)),
         "reward_truth_mean": truly["reward_mean"],
         "swing_clearance_truth_m": truly["swing_clearance_m"],
     }
+
+
+def command_errors(log: DeploymentLog) -> dict[str, float | None]:
+    """How well a steered robot followed the velocities that it took, by the true states if known, else the estimate."""
+    inside, found = log.rows["in_motion"], CommandErrors()
+    states = log.rows["estimate"] if log.truth is None else log.truth
+    if inside.any():
+        found.add(states[inside], log.rows["wanted"][inside], 1.0 / log.rate_hz)
+    return found.as_dict()
 
 
 def _microseconds(seconds: NDArray[np.float64]) -> dict[str, float | None]:
