@@ -25,6 +25,7 @@ import fastmimic as fm
 from fastmimic import cli
 from fastmimic.base.registry import load_extensions
 from fastmimic.optimize.parameters import FinalChoice
+from fastmimic.steering import gait_field
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
@@ -34,6 +35,8 @@ LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "tran
 """Verbs that take long, wait for a user, or fetch."""
 CHOICE = FinalChoice(candidates=2, episodes=2, robots=2, duration_s=0.4)
 """How a search chooses its result here: quickly."""
+GAITS = gait_field.Grid((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0))
+"""The gaits of a steered robot here: few, those that the tests keep in the cache."""
 SHELL = re.compile(r"[|&;<>$`(){}\[\]*]|^(?!fastmimic )", re.MULTILINE)
 """In a bash block: more than commands of `fastmimic`, one a line."""
 
@@ -53,6 +56,7 @@ def main(folder: Path, pages: list[Path]) -> None:
     np.save("points.npy", fm.open_clip("walk").points_w)
     Path("way.csv").write_text("0.5,0.5,0,0\n1.5,0,0,0\n2,0,0,0\n")
     Path("my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
+    gait_field.gait_field = partial(gait_field.gait_field, grid=GAITS)
     fm.evaluate("trot", duration_s=0.1)  # loads what commands need, once for all of them
     for page, text in [(page, page.read_text(encoding="utf-8")) for page in pages]:
         for reason, language, code in BLOCK.findall(text):

@@ -42,6 +42,14 @@ class TestLoadMotion:
         speeds = [float(np.hypot(*m.cycle[:2]) / m.period_s) for m in (slow, fast)]  # type: ignore[index]
         np.testing.assert_allclose(speeds, [0.6, 1.0], rtol=0.03)
 
+    def test_overrides_reach_a_clip_that_is_given(self, robot: Robot) -> None:
+        clip = open_clip("trot", robot=robot)
+        once = find_motion(clip).open_clip(robot, cycle=False, frames=(0, 20), scale=0.7)
+        assert (once.is_cycle, once.n_frames, once.scale) == (False, 20, 0.7)
+        assert load_motion(clip, robot, cycle=False).cycle is None
+        with pytest.raises(ConfigError, match=r"speed: .* is already read"):
+            load_motion(clip, robot, speed=0.6)
+
     def test_overrides_do_not_apply_to_a_motion(self, motion: Motion, robot: Robot) -> None:
         with pytest.raises(ConfigError, match="scale, speed cannot be applied to 'synthetic'"):
             load_motion(motion, robot, speed=1.0, scale=2.0, duty=None)

@@ -42,7 +42,7 @@ class RetargetConfig:
     straight_travel_deg: float = 15.0
     min_travel_m_per_s: float = 0.2
     cycle_mismatch: float = 0.6
-    longest_cycle_s: float = 4.0
+    longest_cycle_s: float = 2.0
     short_s: float = 1.5
     short_mismatch: float = 1.5
     hold_s: float = 0.5

@@ -1,7 +1,7 @@
 """Loads a motion from a name, a clip, a robot motion, or the folder of a run."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,10 +46,21 @@ class MotionSource:
         return arguments
 
     def open_clip(self, robot: Robot, **overrides: Any) -> Clip:
-        """The clip, as `open_clip` reads it; raises `FastMimicError` as that, and for a robot motion."""
+        """The clip, as `open_clip` reads it; raises `FastMimicError` as that, for a robot motion, and for options of
+        reading that a `Clip` is given after it was read."""
         if self.clip is None:
             raise ConfigError(f"{self.name}: already a robot motion; a clip is needed")
-        return self.clip if isinstance(self.clip, Clip) else open_clip(self.clip, robot=robot, **overrides)
+        if not isinstance(self.clip, Clip):
+            return open_clip(self.clip, robot=robot, **overrides)
+        clip, given = self.clip, {name: value for name, value in overrides.items() if value is not None}
+        if frames := given.pop("frames", None):
+            clip = clip.cut(*frames)
+        changed = {
+            {"cycle": "is_cycle"}.get(name, name): given.pop(name) for name in ("cycle", "scale") if name in given
+        }
+        if given:
+            raise ConfigError(f"{', '.join(sorted(given))}: '{self.name}' is already read; give them to open_clip")
+        return replace(clip, **changed)
 
     def retarget(self, robot: Robot, *, executable: bool = True, **overrides: Any) -> "tuple[Motion, RetargetReport]":
         """The clip's motion for a robot, and what changed; raises as `open_clip` and `retarget` do."""

@@ -67,7 +67,7 @@ class TrajectoryConfig:
     duration_weight: float = parameter(3000.0, low=0.0, about="cost of a changed duration, 1/s²")
     stride_weight: float = parameter(30.0, low=0.0, about="cost of a changed distance a cycle, of the squared share")
     end_weight: float = parameter(
-        0.1, low=0.0, about="cost of the squared difference from the animal's velocities at the ends of a passage, s²"
+        0.3, low=0.0, about="cost of the trunk's squared difference from the animal's velocity at a passage's ends, s²"
     )
     force_weight: float = parameter(3e-2, low=0.0, about="cost of squared forces")
     force_rate_weight: float = parameter(1.3e-5, low=0.0, about="cost of the forces' squared rates, s²")

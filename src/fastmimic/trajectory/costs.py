@@ -39,13 +39,14 @@ def quadratic_costs(problem: "Program") -> tuple[Any, Array]:
 
 
 def _ends(problem: "Program") -> tuple[Any, Array]:
-    """The same of the velocities at the ends of a motion that does not repeat: it begins and ends as the animal."""
+    """The same of the trunk's velocity at the ends of a motion that does not repeat: the animal's. The joints' is free:
+    with those of a faster animal at its last node, a robot sinks."""
     import scipy.sparse as sp
 
     if problem.modes.periodic:
         return sp.csr_matrix((0, problem.n)), np.zeros(0)
-    column = 18 * np.array([0, problem.modes.n_nodes - 2])[:, None] + np.arange(18)
-    weight = np.sqrt(problem.config.end_weight) / np.repeat(problem.animal_steps[[0, -2]], 18)
+    column = 18 * np.array([0, problem.modes.n_nodes - 2])[:, None] + np.arange(6)
+    weight = np.sqrt(problem.config.end_weight) / np.repeat(problem.animal_steps[[0, -2]], 6)
     row = np.arange(column.size)
     places = np.tile(row, 2), np.concatenate([column.ravel(), column.ravel() + 18])
     matrix = sp.csr_matrix((np.concatenate([-weight, weight]), places), (column.size, problem.n))
