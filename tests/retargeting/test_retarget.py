@@ -73,10 +73,13 @@ def test_a_whole_take_is_not_a_cycle_and_its_cut_is_one(data_folder: Path, a1: R
     take = read_clip(data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt", ReadOptions(frames=(100, 260)))
     motion, report = retarget(take, a1, executable=False)
     assert motion.cycle is None
-    assert "not a cycle" in report.cycle_reason
+    assert "a passage that is run once (2.7 s" in report.cycle_reason
     assert motion.period_s == pytest.approx(159 / 60, abs=0.002)
     assert min(report.stances) >= 3
     assert retarget(take.cut(62, 101), a1, executable=False)[0].cycle is not None
+    open_ended = retarget(take.cut(0, 80), a1, executable=False)
+    assert open_ended[0].cycle is None
+    assert "not a cycle (its ends differ by" in open_ended[1].cycle_reason
 
 
 def test_standing_feet_rest_on_the_ground_and_no_foot_is_below_it(a1: Robot, trot) -> None:  # type: ignore[no-untyped-def]
