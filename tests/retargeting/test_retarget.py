@@ -77,7 +77,7 @@ def test_a_whole_take_is_not_a_cycle_and_its_cut_is_one(data_folder: Path, a1: R
     assert motion.period_s == pytest.approx(159 / 60, abs=0.002)
     assert min(report.stances) >= 3
     assert retarget(take.cut(62, 101), a1, executable=False)[0].cycle is not None
-    open_ended = retarget(take.cut(0, 80), a1, executable=False)
+    open_ended = retarget(take.cut(0, 90), a1, executable=False)
     assert open_ended[0].cycle is None
     assert "not a cycle (its ends differ by" in open_ended[1].cycle_reason
 
