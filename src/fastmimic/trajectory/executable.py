@@ -32,8 +32,9 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"contact_m_per_s": 0.5, "clearance_share": 0.3, "friction": 0.5, "torque_share": 0.95},
 )
 """Margins that a problem without a solution gives up, in this order."""
-_CHECKED_S: Final = 5.0
+_CHECKED_S: Final = 20.0
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
+    {"least_force": 0.08},
     {"capture_weight": 1000.0, "acceleration_weight": 3e-3, "capture_m": 0.06},
     {"capture_weight": 1000.0, "capture_m": 0.03, "loading": 3.0},
 )
@@ -112,7 +113,7 @@ def nearest_executable(
 
     `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. `falls` gives the share
     of perturbed starts from which a robot falls with a motion. While it falls, more margins are tried, and the motion
-    that falls least is returned; a passage longer than 5 s is not tried. Raises `MotionError` if no motion keeps the
+    that falls least is returned; a passage longer than 20 s is not tried. Raises `MotionError` if no motion keeps the
     limits; the message says which.
     """
     config = config or TrajectoryConfig()
