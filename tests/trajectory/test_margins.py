@@ -89,13 +89,15 @@ def test_more_margins_while_the_robot_falls(a1: Robot, pace: Motion) -> None:
     assert held.figures.margins == {}
     assert held.figures.fell == 0.0
     asked.clear()
-    found = nearest_executable(a1, pace, falls=falls([0.5, 0.125, 0.25]))
-    assert len(asked) == 3
-    assert found.motion is asked[1]
+    found = nearest_executable(a1, pace, falls=falls([0.5, 0.375, 0.125, 0.25]))
+    assert len(asked) == 4
+    assert found.motion is asked[2]
     assert found.figures.margins == STEADY
     text = "\n".join(found.figures.lines())
     assert "margins changed: capture_weight 1000" in text
     assert "falls all the same from 12 %" in text
+    asked.clear()
+    assert nearest_executable(a1, pace, falls=falls([0.5, 0.0])).figures.margins == {"least_force": 0.08}
 
 
 def test_what_came_of_running_it_is_kept_for_this_packages_own_check(
