@@ -55,9 +55,8 @@ class MotionSource:
         clip, given = self.clip, {name: value for name, value in overrides.items() if value is not None}
         if frames := given.pop("frames", None):
             clip = clip.cut(*frames)
-        changed = {
-            {"cycle": "is_cycle"}.get(name, name): given.pop(name) for name in ("cycle", "scale") if name in given
-        }
+        fields = {"cycle": "is_cycle", "scale": "scale"}
+        changed = {field: given.pop(name) for name, field in fields.items() if name in given}
         if given:
             raise ConfigError(f"{', '.join(sorted(given))}: '{self.name}' is already read; give them to open_clip")
         return replace(clip, **changed)
