@@ -4,6 +4,7 @@ The exact derivatives of one node (`node`) are put together to sparse ones of th
 the number of nodes. CasADi alone would find the same by colouring, in much longer time.
 """
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -12,8 +13,11 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import N_ROWS, N_VARIABLES, NodeFunctions
+from fastmimic.trajectory.tape import on_nodes
 
 _DIVERGED: Final = 1e5
+"""Where the multipliers of the constraints grow without bound, no solution is near, and the solver would go on for
+minutes. Of nine problems with a solution, gallops among them, none had one above 2000."""
 
 
 def make_solver(
@@ -39,23 +43,28 @@ def make_solver(
     n, nodes = smooth.shape[1], len(index)
     low, high = (bound.ravel() for bound in bounds)
     selected = np.flatnonzero(np.isfinite(low) | np.isfinite(high))
-    w, empty, factor = ca.MX.sym("w", n), ca.MX.sym("p", 0), ca.MX.sym("factor")
-    multipliers = ca.MX.sym("multipliers", len(selected))
+    w = ca.MX.sym("w", n)
     z, known = ca.reshape(w[index.ravel().tolist()], N_VARIABLES, nodes), ca.DM(given.T)
-
-    matrix = ca.DM(smooth.tocsc())
-    rest = matrix @ w - ca.DM(offset)
+    rest = ca.DM(smooth.tocsc()) @ w - ca.DM(offset)
     cost = ca.sum2(functions.cost.map(nodes)(z, known)) + ca.sumsqr(rest)
     rows = ca.vec(functions.rows.map(nodes)(z, known))[selected.tolist()]
-    gather = _accumulation(index.ravel(), n)
-    gradient = ca.DM(gather) @ ca.vec(functions.gradient.map(nodes)(z, known)) + 2 * matrix.T @ rest
+    cost_of, rows_of = ca.Function("cost", [w], [cost]), ca.Function("rows", [w], [rows])
+
+    gather = sp.csc_matrix((np.ones(index.size), (index.ravel(), np.arange(index.size))), (n, index.size))
+    gradient_of = on_nodes(functions.gradient, nodes)
+
+    def gradient(w: Array) -> Array:
+        return np.asarray(gather @ gradient_of(w[index], given).ravel() + 2 * (smooth.T @ (smooth @ w - offset)))
 
     local_row, local_column = functions.jacobian_at
     place = np.full(N_ROWS * nodes, -1)
     place[selected] = np.arange(len(selected))
     row = place[(N_ROWS * np.arange(nodes)[:, None] + local_row).ravel()]
-    pattern, gather = _sparse(row, index[:, local_column].ravel(), (len(selected), n), row >= 0)
-    jacobian = ca.MX(pattern, ca.DM(gather) @ ca.vec(functions.jacobian.map(nodes)(z, known)))
+    slopes, slopes_sum = _sparse(row, index[:, local_column].ravel(), (len(selected), n), row >= 0)
+    jacobian_of = on_nodes(functions.jacobian, nodes)
+
+    def jacobian(w: Array) -> Array:
+        return np.asarray(slopes_sum @ jacobian_of(w[index], given).ravel())
 
     local_row, local_column = functions.hessian_at
     a, b = index[:, local_row].ravel(), index[:, local_column].ravel()
@@ -63,25 +72,34 @@ def make_solver(
     curvature = sp.triu(2 * (smooth.T @ smooth)).tocoo()
     row = np.concatenate([np.minimum(a, b), curvature.row])
     column = np.concatenate([np.maximum(a, b), curvature.col])
-    pattern, gather = _sparse(row, column, (n, n), np.ones(len(row), dtype=np.bool_))
-    constant = gather[:, len(a) :] @ curvature.data
-    gather = gather[:, : len(a)] @ sp.diags(twice)
-    spread = sp.csc_matrix((np.ones(len(selected)), (selected, np.arange(len(selected)))), (len(place), len(selected)))
-    shared = ca.reshape(ca.DM(spread) @ multipliers, N_ROWS, nodes)
-    entries = functions.hessian.map(nodes)(z, known, ca.repmat(factor, 1, nodes), shared)
-    hessian = ca.MX(pattern, ca.DM(gather.tocsc()) @ ca.vec(entries) + factor * ca.DM(constant))
+    curves, curves_sum = _sparse(row, column, (n, n), np.ones(len(row), dtype=np.bool_))
+    constant = curves_sum[:, len(a) :] @ curvature.data
+    curves_sum = curves_sum[:, : len(a)] @ sp.diags(twice)
+    hessian_of, shared = on_nodes(functions.hessian, nodes), np.zeros(len(place))
 
-    watch = _diverging(n, len(selected))
-    options = {
-        "grad_f": ca.Function("nlp_grad_f", [w, empty], [cost, gradient], ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("nlp_jac_g", [w, empty], [rows, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function(
-            "nlp_hess_l",
-            [w, empty, factor, multipliers],
-            [hessian],
-            ["x", "p", "lam_f", "lam_g"],
-            ["triu_hess_gamma_x_x"],
+    def hessian(w: Array, factor: Array, multipliers: Array) -> Array:
+        shared[selected] = multipliers
+        factors = np.full((nodes, 1), factor[0])
+        entries = hessian_of(w[index], given, factors, shared.reshape(nodes, N_ROWS))
+        return np.asarray(curves_sum @ entries.ravel() + factor[0] * constant)
+
+    one, x, g = (ca.Sparsity.dense(size) for size in (1, n, len(selected)))
+    first = {"x": x, "p": ca.Sparsity.dense(0)}
+    computed = {
+        "grad_f": _computed("nlp_grad_f", first, {"f": (one, cost_of), "grad_f_x": (x, gradient)}),
+        "jac_g": _computed("nlp_jac_g", first, {"g": (g, rows_of), "jac_g_x": (slopes, jacobian)}),
+        "hess_lag": _computed(
+            "nlp_hess_l", first | {"lam_f": one, "lam_g": g}, {"triu_hess_gamma_x_x": (curves, hessian)}
         ),
+    }
+    sizes = {"x": x, "f": one, "lam_x": x, "g": g, "lam_g": g}
+    watch = _computed(
+        "diverging",
+        {name: sizes.get(name, ca.Sparsity(0, 0)) for name in ca.nlpsol_out()},
+        {"stop": (one, lambda x, f, g, lam_x, lam_g: np.abs(lam_g).max() > _DIVERGED)},
+    )
+    options = {
+        **computed,
         "print_time": False,
         "ipopt.sb": "yes",
         "ipopt.print_level": 0,
@@ -99,43 +117,49 @@ def make_solver(
         "iteration_callback": watch,
     }
     solver = ca.nlpsol("nearest", "ipopt", {"x": w, "f": cost, "g": rows}, options)
-    solver.watch = watch  # the solver itself does not keep it alive
+    solver.calls_back = watch, computed  # the solver itself does not keep them alive
     return solver, (low[selected], high[selected])
 
 
-def _diverging(n: int, constraints: int) -> Any:
-    """Stops the solver where the multipliers of the constraints grow without bound: no solution is near. It would go on
-    for minutes. Of nine problems with a solution, gallops among them, none had one above 2000."""
+def _computed(name: str, given: dict[str, Any], found: dict[str, tuple[Any, Callable[..., Any]]]) -> Any:
+    """A CasADi function of inputs with the sparsities `given`, whose outputs `found` have a sparsity and a function
+    each: of the inputs but the empty ones, to a vector or to the entries of a sparse matrix."""
     import casadi as ca
 
-    sizes = {"f": (1, 1), "x": (n, 1), "lam_x": (n, 1), "g": (constraints, 1), "lam_g": (constraints, 1)}
-
-    class Diverging(ca.Callback):
+    class Computed(ca.Callback):
         def __init__(self) -> None:
             ca.Callback.__init__(self)
-            self.construct("diverging", {})
+            self.construct(name, {})
 
         def get_n_in(self) -> int:
-            return int(ca.nlpsol_n_out())
+            return len(given)
 
         def get_n_out(self) -> int:
-            return 1
+            return len(found)
+
+        def get_name_in(self, i: int) -> str:
+            return list(given)[i]
+
+        def get_name_out(self, i: int) -> str:
+            return list(found)[i]
 
         def get_sparsity_in(self, i: int) -> Any:
-            return ca.Sparsity.dense(*sizes.get(ca.nlpsol_out(i), (0, 0)))
+            return list(given.values())[i]
 
-        def eval(self, answer: list[Any]) -> list[Any]:
-            multipliers = answer[ca.nlpsol_out().index("lam_g")]
-            return [int(np.abs(multipliers.full()).max(initial=0.0) > _DIVERGED)]
+        def get_sparsity_out(self, i: int) -> Any:
+            return list(found.values())[i][0]
 
-    return Diverging()
+        def has_eval_buffer(self) -> bool:
+            return True
 
+        def eval_buffer(self, arguments: list[Any], results: list[Any]) -> int:
+            values = [np.frombuffer(buffer) for buffer in arguments if buffer]
+            for buffer, (_, function) in zip(results, found.values(), strict=True):
+                if buffer:  # else it is not wanted
+                    np.frombuffer(buffer)[:] = np.ravel(function(*values))
+            return 0
 
-def _accumulation(place: NDArray[np.int_], n: int) -> Any:
-    """Sparse matrix that adds values to the places (k,) of a vector (n,)."""
-    import scipy.sparse as sp
-
-    return sp.csc_matrix((np.ones(len(place)), (place, np.arange(len(place)))), (n, len(place)))
+    return Computed()
 
 
 def _sparse(
