@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.controller import gains_of
 from fastmimic.control.joint_commands import keep_in_reach
 from fastmimic.episode.loop import ClosedLoop
-from fastmimic.episode.plan import Start
+from fastmimic.episode.plan import Start, nominal_start
+from fastmimic.reference.table import GAIN_SAMPLES
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, leg_inverse
 from fastmimic.robot.state import pack_model
@@ -52,6 +54,22 @@ def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
     assert most == default_config().gait.most_haste
     assert none == 0.0
     assert up.sum() >= fallen.sum() + 4
+
+
+def test_a_robot_that_stands_is_not_hurried_to_a_step_far_ahead(robot: Robot) -> None:
+    """It would run through the second in which an animal sits, and then on in haste."""
+    motion = load_motion("jump", robot)
+    landing = gains_of(motion, robot, default_config())["landing"]
+    stands = int(np.flatnonzero(landing < 0.5)[0]) * GAIN_SAMPLES
+    conditions = Conditions(disturbances=(Disturbance("side-push", (-0.2 * robot.mass,), 0.02),))
+    loop = ClosedLoop(robot, motion, 1, default_config(), conditions=conditions)
+    loop.place(nominal_start(1))
+    for _ in range(stands):
+        loop.apply(loop.control())
+        loop.score()
+        assert loop.controller.memory["haste"][0] == 0.0
+    assert stands > 100
+    assert loop.scorer.tallies["fallen"][0] == 0
 
 
 @pytest.mark.nojit

@@ -16,6 +16,7 @@ from fastmimic.robot.kinematics import leg_forward
 
 MOST_DISTURBANCE: Final = (3.0, 10.0)  # m/s², rad/s²
 LEAN: Final = (0.3, 0.7)  # shares of that distance along and across which trot and walk need
+FAR_S: Final = 0.5  # a step that is farther ahead catches nobody: the feet that stand have to hold the robot
 LATE: Final = 0.9  # a foot that should have landed keeps this share of its shift's speed each step
 
 
@@ -159,7 +160,9 @@ def _make_haste(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any, sta
     if share < 1.0:
         due = max(due, -np.log(max(share, 1e-9)) / rate)
     find_urgency(config, ref, gain, memory, scratch, x, y)
-    memory.haste = min(max(gain.landing / due - 1.0, 0.0), config.most_haste)
+    memory.haste = 0.0
+    if gain.landing < FAR_S:
+        memory.haste = min(max(gain.landing / due - 1.0, 0.0), config.most_haste)
 
 
 @inlined
