@@ -1,12 +1,14 @@
 """Retargeted CSV: columns by name or by position, and what is wrong with a bad file."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from sample_files import STANDING, csv_text, csv_values, table_text
 
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ClipError
-from fastmimic.clips.formats import csv_motion
+from fastmimic.clips.formats import ReadOptions, csv_motion, read_clip
 from fastmimic.robot import load_robot
 from fastmimic.robot.kinematics import foot_positions
 
@@ -162,3 +164,43 @@ def test_wrong_number_of_columns_names_the_line(a1):
 def test_too_few_frames_are_no_clip(a1, n_frames: int):
     with pytest.raises(ClipError, match=f"at least 2 frames, found {n_frames}"):
         csv_motion.parse(csv_text(n_frames, header=True), robot=a1)
+
+
+class _Harm:
+    """An object that says so if it is unpickled."""
+
+    def __reduce__(self):
+        return pytest.fail, ("an object in the file was unpickled",)
+
+
+def arrays_file(path: Path, q: np.ndarray, dt: np.ndarray) -> Path:
+    """A trajectory as Pinocchio has it, with the joints' names as an object."""
+    if q.shape[1] == 19:
+        q = np.hstack([q[:, :7], q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]].reshape(-1, 12)])
+    np.savez(path, q=q, v=np.zeros((len(q), 18)), dt=dt, joint_names=np.array([_Harm()]), actuated_q_start=7)
+    return path
+
+
+def test_a_trajectory_in_arrays_is_that_of_the_table(tmp_path: Path, a1):
+    path = arrays_file(tmp_path / "trajectory.npz", csv_values(), np.full(len(csv_values()), 0.02))
+    clip, wanted = read_clip(path, ReadOptions(robot=a1)), csv_motion.parse(csv_text(), robot=a1, fps=50)
+    assert clip.meta["format"] == "trajectory"
+    assert clip.rate_hz == pytest.approx(50.0)
+    np.testing.assert_allclose(clip.points_w, wanted.points_w, atol=1e-12)
+    np.testing.assert_allclose(clip.root_quat_wxyz, wanted.root_quat_wxyz, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda q, dt: (q[:, :18], dt), r"q of shape \(\d+, 18\) .* expected \(frames, 19\)"),
+        (lambda q, dt: (q, dt[:-1]), "dt of shape"),
+        (lambda q, dt: (np.where(q == q[3, 0], np.nan, q), dt), "not finite"),
+        (lambda q, dt: (q, dt * np.linspace(1, 2, len(dt))), "even steps, or give the frame rate"),
+        (lambda q, dt: (q, -dt), "rate"),
+    ],
+)
+def test_damaged_trajectories_are_refused(tmp_path: Path, a1, change, problem):
+    q, dt = change(csv_values(), np.full(len(csv_values()), 0.02))
+    with pytest.raises(ClipError, match=problem):
+        read_clip(arrays_file(tmp_path / "bad.npz", q, dt), ReadOptions(robot=a1))

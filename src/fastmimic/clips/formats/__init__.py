@@ -18,7 +18,7 @@ __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read
 
 _KEYPOINTS = (keypoints.FORMAT, keypoints.NAMED_FORMAT)
 _TABLES = (csv_motion.FORMAT, *_KEYPOINTS, pose_table.ANIPOSE, pose_table.DEEPLABCUT)
-_BINARY = (pose_table.HDF5, pose_table.C3D, skeletons.GLB, skeletons.AI4ANIMATION)
+_BINARY = (csv_motion.ARRAYS, pose_table.HDF5, pose_table.C3D, skeletons.GLB, skeletons.AI4ANIMATION)
 for _format in (ROBOT_MOTION, *_TABLES, skeletons.BVH, deepmimic.FORMAT, *_BINARY):
     FORMATS.register(_format)
 

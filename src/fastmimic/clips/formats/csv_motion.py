@@ -1,8 +1,14 @@
 """Retargeted robot motion as CSV: root position, root quaternion x, y, z, w and 12 joint angles, one frame a line. With
 a header, columns are found by name in any order. Without one they are taken as x, y, z, qx, qy, qz, qw and the joints
-in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so."""
+in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
 
+The same as arrays is what trajectory optimisation with Pinocchio leaves (yusongmin1/go2_flip_TO): `q` (t, 19) with the
+legs in the order FL, FR, RL, RR, `v` (t, 18), which nothing needs, and the steps `dt` (t,), s. The joints' names are an
+object, which is not read."""
+
+import io
 import re
+from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
@@ -10,12 +16,12 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.base.files import packaged
+from fastmimic.base.files import open_arrays, packaged
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats.format import Format
+from fastmimic.clips.formats.format import Format, members
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
-from fastmimic.clips.formats.text_table import LARGEST, Table, check_rate, read_table, to_array
+from fastmimic.clips.formats.text_table import LARGEST, Table, check_frames, check_rate, read_table, to_array
 from fastmimic.robot.robot import Robot
 
 COLUMN_NAMES: Final = (*(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *JOINT_NAMES)
@@ -35,10 +41,6 @@ _MIN_UPRIGHT: Final = 0.5
 def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     """Reads the text of a retargeted motion of `robot`; `fps` replaces the file's time column or the default. Raises
     `ClipError`: malformed (says which line and column), a joint without a column, or not upright."""
-    from fastmimic.robot.kinematics import foot_positions
-
-    if robot is None:
-        raise ClipError("a retargeted CSV holds joint angles: the robot that they belong to is needed")
     table = read_table(text)
     header = table.header if table.header is not None and names_joints(table.header) else None
     columns, names = _columns(table, header)
@@ -51,19 +53,50 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     if extra:
         assumed.append("columns that are not used: " + ", ".join(extra))
     motion = values[:, columns]
-    quat = unit_wxyz_from_xyzw(motion[:, 3:7], lambda i: f"line {table.rows[i].number} (frame {i})")
+    _check_radians(table, motion[:, 7:], [names[c] for c in columns[7:]])
+    return _clip_of(motion, rate, robot, assumed, lambda i: f"line {table.rows[i].number} (frame {i})")
+
+
+def _clip_of(
+    motion: Array, rate_hz: float, robot: Robot | None, assumed: list[str], where: Callable[[int], str]
+) -> Clip:
+    """The clip of a robot's motion (t, 19); `where` gives a frame's place in the file."""
+    from fastmimic.robot.kinematics import foot_positions
+
+    if robot is None:
+        raise ClipError("a retargeted motion holds joint angles: the robot that they belong to is needed")
+    quat = unit_wxyz_from_xyzw(motion[:, 3:7], where)
     _check_upright(quat)
-    joints = motion[:, 7:]
-    _check_radians(table, joints, [names[c] for c in columns[7:]])
-    assumed.append(f"joint angles are those of the {robot.name}")
     return Clip(
-        points_w=robot_points(motion[:, :3], quat, robot.hip_pos_b, foot_positions(robot, joints)),
-        rate_hz=rate,
+        points_w=robot_points(motion[:, :3], quat, robot.hip_pos_b, foot_positions(robot, motion[:, 7:])),
+        rate_hz=rate_hz,
         root_quat_wxyz=quat,
         leg_length_m=robot.leg_length,
         scale=1.0,
-        meta={"assumed": assumed, "robot": robot.name},
+        meta={"assumed": [*assumed, f"joint angles are those of the {robot.name}"], "robot": robot.name},
     )
+
+
+def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) -> Clip:
+    """Reads q and dt of such an archive; the other arguments, and errors, as for `parse`."""
+    with open_arrays(io.BytesIO(data)) as file:
+        q, steps = (np.asarray(file[name], dtype=float) for name in ("q", "dt"))
+    if q.ndim != 2 or q.shape[1] != COLUMNS or steps.shape != q.shape[:1]:
+        raise ClipError(
+            f"q of shape {q.shape} and dt of shape {steps.shape}; expected (frames, {COLUMNS}) and (frames,)"
+        )
+    check_frames(len(q))
+    if not (np.isfinite(q).all() and np.abs(q).max() <= LARGEST):
+        raise ClipError(f"q has numbers that are not finite or beyond {LARGEST:g}")
+    if fps is None and not np.allclose(steps, steps[0], rtol=1e-3):
+        raise ClipError(
+            f"dt goes from {steps.min():g} to {steps.max():g} s; expected even steps, or give the frame rate"
+        )
+    rate = 1.0 / float(steps[0]) if fps is None and steps[0] > 0 else fps or 0.0
+    check_rate(rate)
+    legs = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]]
+    order = ["joints are in the order FL, FR, RL, RR, as Pinocchio has them"]
+    return _clip_of(np.hstack([q[:, :7], legs.reshape(-1, 12)]), rate, robot, order, lambda i: f"q, row {i}")
 
 
 def names_joints(header: list[str]) -> bool:
@@ -166,4 +199,13 @@ FORMAT: Final = Format(
     detect=lambda content: names_joints(content.table.header or []) or COLUMNS in content.columns,
     parse=parse,
     takes=("robot", "fps"),
+)
+ARRAYS: Final = Format(
+    name="trajectory",
+    about="robot trajectory as arrays q (19 columns), v and dt (.npz)",
+    suffixes=(".npz",),
+    detect=lambda content: (members(io.BytesIO(content.data)) or set()) >= {"q.npy", "dt.npy"},
+    parse=parse_arrays,
+    takes=("robot", "fps"),
+    binary=True,
 )

@@ -19,6 +19,7 @@ from fastmimic.robot.robot import Robot
 
 _LINES_READ: Final = 2000  # within which a table is looked for, after any comment
 _ROWS_COUNTED: Final = 20
+_OTHERS: Final = {"bone_names.npy", "dt.npy"}  # arrays of other formats: AI4AnimationPy's, and trajectories
 _ZIP_MAGIC: Final = (b"PK\x03\x04", b"PK\x05\x06")
 
 
@@ -159,7 +160,7 @@ def _holds_arrays(file: BinaryIO) -> bool:
     names = members(file)
     if names is None:  # damaged: `Motion.load` reports how
         return True
-    return any(name.endswith(".npy") for name in names) and "bone_names.npy" not in names  # AI4AnimationPy's
+    return any(name.endswith(".npy") for name in names) and not names & _OTHERS
 
 
 def members(file: BinaryIO) -> set[str] | None:
