@@ -190,7 +190,9 @@ def _clips(scratch: Path) -> list[Case]:
         "flat.h5": lambda path: poses.sleap_analysis_h5(path, points),
         "markers.c3d": lambda path: poses.c3d(path, points, rate),
         "ai4.npz": lambda path: poses.ai4animation_npz(path, points, rate),
-        "trajectory.npz": lambda path: np.savez(path, q=(q := samples.csv_values()), dt=np.full(len(q), 0.02)),
+        "trajectory.npz": lambda path: np.savez(
+            path, q=(q := samples.csv_values()), v=np.zeros((len(q), 18)), dt=np.full(len(q), 0.02)
+        ),
         "linear.glb": lambda path: poses.glb(path, points, rate),
         "cubic.glb": lambda path: poses.glb(path, points, rate, "CUBICSPLINE", 2),
         "amp.txt": lambda path: export_motion(load_motion("trot", robot), robot, path, "amp"),

@@ -205,7 +205,7 @@ def changed_array(draw: Draw, array: Any) -> Any:
         with np.errstate(all="ignore"):
             try:
                 return array.astype(pick(draw, DTYPES))
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, RuntimeError):  # RuntimeError: numbers as dates of too many years
                 return np.zeros(array.shape, "f4")
     if how == 1:
         shape = pick(draw, ((), (0,), (1,), (2, 2), (*array.shape, 1), array.shape[1:], array.shape[::-1], (3, 0, 4)))

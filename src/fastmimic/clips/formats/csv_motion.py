@@ -16,7 +16,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.base.files import open_arrays, packaged
+from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import Format, members
@@ -79,8 +79,11 @@ def _clip_of(
 
 def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) -> Clip:
     """Reads q and dt of such an archive; the other arguments, and errors, as for `parse`."""
-    with open_arrays(io.BytesIO(data)) as file:
-        q, steps = (np.asarray(file[name], dtype=float) for name in ("q", "dt"))
+    try:
+        with open_arrays(io.BytesIO(data)) as file:
+            q, steps = (np.asarray(file[name], dtype=float) for name in ("q", "dt"))
+    except UNREADABLE as error:
+        raise ClipError(f"not a readable trajectory ({error})") from None
     if q.ndim != 2 or q.shape[1] != COLUMNS or steps.shape != q.shape[:1]:
         raise ClipError(
             f"q of shape {q.shape} and dt of shape {steps.shape}; expected (frames, {COLUMNS}) and (frames,)"
