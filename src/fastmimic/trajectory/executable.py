@@ -114,18 +114,21 @@ def nearest_executable(
     `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. `falls` gives the share
     of perturbed starts from which a robot falls with a motion. While it falls, more margins are tried, and the motion
     that falls least is returned; a passage longer than 20 s is not tried. Raises `MotionError` if no motion keeps the
-    limits; the message says which.
+    limits; the message says which. A cycle is then solved anew from the animal's motion, a passage, which takes longer,
+    from the motion that falls least so far, whose margins it keeps.
     """
     config = config or TrajectoryConfig()
-    best = _within_limits(Program(robot, animal, config), {})
+    problem = Program(robot, animal, config)
+    best = _within_limits(problem, {})
     if falls is None or (animal.cycle is None and animal.period_s > _CHECKED_S):
         return best
     fell = _share_of_falls(falls, robot, best.motion)
-    for margins in _STEADIER:
+    for more in _STEADIER:
         if fell == 0:
             break
+        known, start = ({}, None) if animal.cycle is not None else (best.figures.margins, best.solution.variables)
         try:
-            other = _within_limits(Program(robot, animal, config), margins)
+            other = _within_limits(problem, {**known, **more}, start)
         except MotionError:
             continue
         if (share := _share_of_falls(falls, robot, other.motion)) < fell:
@@ -153,12 +156,13 @@ def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | N
     return _within_limits(Program(robot, guess, config, joins=True), {})
 
 
-def _within_limits(problem: Program, margins: dict[str, float]) -> Executable:
-    """Of a problem with these margins; those of `_RETRIES` are given up while it has no solution."""
+def _within_limits(problem: Program, margins: dict[str, float], start: Array | None = None) -> Executable:
+    """Of a problem with these margins, from a first guess (n,); those of `_RETRIES` are given up while it has no
+    solution."""
     for given_up in ({}, *_RETRIES):
         changed = {**margins, **given_up}
         program = replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
-        solution = program.solve()
+        solution = program.solve(start)
         if solution.converged:
             return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
     raise MotionError(
