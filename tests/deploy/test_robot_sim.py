@@ -26,10 +26,11 @@ from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.log import GROUND_TRUTH, Recorder, load_ground_truth
 from fastmimic.deploy.sim import LinkFaults, SimulatedBody, SimulatedLink
-from fastmimic.deploy.sim_server import PHYSICS_RATE_HZ, SimServer, SimSettings, go2_body
+from fastmimic.deploy.sim_server import SimServer, SimSettings, go2_body
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.config import ideal_sensors
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ
 
 
 @pytest.fixture(scope="module")

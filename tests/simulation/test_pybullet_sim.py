@@ -318,5 +318,5 @@ class TestRefusals:
             PybulletSimulation(robot, 1)
 
     def test_rates_that_do_not_fit(self, robot: Robot) -> None:
-        with pytest.raises(ConfigError, match=r"250 Hz\) must be a multiple of .* \(500 Hz\)"):
-            PybulletSimulation(robot, 1, physics_rate_hz=250.0)
+        with pytest.raises(ConfigError, match=r"1000 Hz\) must be a multiple of .* \(300 Hz\)"):
+            PybulletSimulation(robot, 1, control_rate_hz=300.0)

@@ -23,8 +23,8 @@ from fastmimic.simulation.conditions import Disturbance, make_world
 from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
 from fastmimic.simulation.sensors import Sensors
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ
 
-PHYSICS_RATE_HZ: Final = 1000.0
 MODE: Final = "normal"  # of the active motion service
 MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
 _PER_STATE: Final = round(PHYSICS_RATE_HZ / RATE_HZ)
@@ -70,17 +70,17 @@ class SimCounts:
 
 
 def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
-    rate, config = PHYSICS_RATE_HZ, settings.sensors
+    config = settings.sensors
     if config is None:
         usual = SensorConfig()
         names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
         config = dataclasses.replace(usual, **{name: getattr(usual, name) - _LINK_S for name in names})
     world = make_world(settings.disturbances, 1, "mujoco")
-    simulation = MujocoSimulation(robot, 1, control_rate_hz=rate, physics_rate_hz=rate)
+    simulation = MujocoSimulation(robot, 1, control_rate_hz=PHYSICS_RATE_HZ)
     if not all(d.kind.sensed for d in settings.disturbances):
-        simulation = DisturbedMujocoSimulation(robot, 1, settings.disturbances, control_rate_hz=rate)
+        simulation = DisturbedMujocoSimulation(robot, 1, settings.disturbances, control_rate_hz=PHYSICS_RATE_HZ)
     sensors = Sensors(robot, 1, RATE_HZ, config, world)
-    body = SimulatedBody(robot, simulation, sensors, rate, settings.start, settings.watchdog_s)
+    body = SimulatedBody(robot, simulation, sensors, PHYSICS_RATE_HZ, settings.start, settings.watchdog_s)
     body.reset(np.random.default_rng(settings.seed))
     return body
 

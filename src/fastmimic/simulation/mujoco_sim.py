@@ -21,7 +21,7 @@ from fastmimic.robot.mjcf import warn_by_log
 from fastmimic.robot.state import OBSERVATION
 from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
-from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, Placement, substeps_of
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, Placement, substeps_of
 from fastmimic.simulation.terrain import Terrain
 
 FLOOR: Final = "fastmimic_floor"
@@ -32,13 +32,7 @@ STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from 
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
 
-def build_model(
-    robot: Robot,
-    physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
-    ground: Terrain | None = None,
-    *,
-    ideal: bool = False,
-) -> mujoco.MjModel:
+def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = False) -> mujoco.MjModel:
     """The robot on a floor (`ground`; None for flat), with motors that take stiffness and damping, and foot sensors.
 
     The floor collides with the robot and, unless `ideal`, thighs, calves and feet with those of other legs. Feet are
@@ -84,7 +78,7 @@ def build_model(
     spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]
-    spec.option.timestep = 1.0 / physics_rate_hz
+    spec.option.timestep = 1.0 / PHYSICS_RATE_HZ
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
@@ -210,15 +204,14 @@ class MujocoSimulation:
         n: int,
         *,
         control_rate_hz: float = 500.0,
-        physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         threads: int = 1,
         ground: Terrain | None = None,
         ideal: bool = False,
     ) -> None:
         """With `ideal`, motors have their torque at any speed, and legs pass through each other. Raises `ConfigError`
         if the physics rate is not a multiple of the control rate."""
-        self.substeps, self.ground = substeps_of(physics_rate_hz, control_rate_hz), ground
-        self.model = build_model(robot, physics_rate_hz, ground, ideal=ideal)
+        self.substeps, self.ground = substeps_of(control_rate_hz), ground
+        self.model = build_model(robot, ground, ideal=ideal)
         self.batch = Batch(self.model, n, nthread=threads)
         self.observation = np.zeros(n, OBSERVATION)
         self._qpos = self.batch.bind("qpos")
@@ -309,7 +302,7 @@ class DisturbedMujocoSimulation(MujocoSimulation, Disturbed):
         if self.world.has("top-speed"):
             self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
         self._forces = self.batch.bind("xfrc_applied")
-        self._delay = Delay(self.world["delay"], DEFAULT_PHYSICS_RATE_HZ, self.substeps)
+        self._delay = Delay(self.world["delay"], PHYSICS_RATE_HZ, self.substeps)
         self._steps = 0
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
 
@@ -322,7 +315,7 @@ class DisturbedMujocoSimulation(MujocoSimulation, Disturbed):
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         if self._pushed:
-            self.push(self._steps * self.substeps / DEFAULT_PHYSICS_RATE_HZ, self._qpos[:, 3:7])
+            self.push(self._steps * self.substeps / PHYSICS_RATE_HZ, self._qpos[:, 3:7])
             self._forces[:, self.trunk, :3] = self.trunk_force
         step, self._steps = self._steps, self._steps + 1
         self._delay.send(commands, step)

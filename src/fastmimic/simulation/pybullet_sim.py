@@ -28,7 +28,7 @@ from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import OBSERVATION, commanded_torque
 from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, driving_limit, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
-from fastmimic.simulation.simulators import DEFAULT_PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
 from fastmimic.simulation.terrain import Terrain
 
 _TRUNK: Final = "trunk"
@@ -48,18 +48,17 @@ class PybulletSimulation(Disturbed):
         disturbances: Sequence[Disturbance] = (),
         ground: Terrain | None = None,
         control_rate_hz: float = 500.0,
-        physics_rate_hz: float = DEFAULT_PHYSICS_RATE_HZ,
         ideal: bool = False,
     ) -> None:
-        """Bullet and the motor law step at `physics_rate_hz`; `ground` is a plane or a height field, flat if None; a
+        """Bullet and the motor law step at `PHYSICS_RATE_HZ`; `ground` is a plane or a height field, flat if None; a
         disturbance has one value, or one for each robot; `ideal` as in `Conditions`. Raises `ConfigError` if PyBullet
         is missing, the robot (of `PYBULLET_URDFS`) or a disturbance is not supported, or the physics rate is not a
         multiple of the control rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
-        self.substeps = substeps_of(physics_rate_hz, control_rate_hz)
+        self.substeps = substeps_of(control_rate_hz)
         self.observation = np.zeros(n, OBSERVATION)
-        self._rate, self._ideal = physics_rate_hz, ideal
+        self._ideal = ideal
         super().__init__(world := make_world(disturbances, n, "pybullet"))
         self._ground = ground
         self._clients: list[Any] = []
@@ -75,7 +74,7 @@ class PybulletSimulation(Disturbed):
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
         self._top_speed = np.full(12, np.inf) if ideal and not world.has("top-speed") else robot.joint_speed_limit
         _check_fit(self._bodies[0], robot)
-        self._delay = Delay(world["delay"], physics_rate_hz, self.substeps)
+        self._delay = Delay(world["delay"], PHYSICS_RATE_HZ, self.substeps)
         self._steps = 0
 
     def close(self) -> None:
@@ -97,10 +96,10 @@ class PybulletSimulation(Disturbed):
             if change is not None:
                 change(self, self.world[name])
         for i, body in enumerate(self._bodies):
-            body.observe(self.observation[i], self._rate)
+            body.observe(self.observation[i])
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        self.push(self._steps * self.substeps / self._rate, self.observation["root_quat"])
+        self.push(self._steps * self.substeps / PHYSICS_RATE_HZ, self.observation["root_quat"])
         self._delay.send(commands, self._steps)
         arrived = [self._delay.arrived(self._steps, substep) for substep in range(self.substeps)]
         for i, body in enumerate(self._bodies):
@@ -110,7 +109,7 @@ class PybulletSimulation(Disturbed):
                 if self.trunk_force[i].any():
                     body.pull(self.trunk_force[i])
                 self._clients[i].stepSimulation()
-            body.observe(self.observation[i], self._rate)
+            body.observe(self.observation[i])
         self._steps += 1
         return self.observation
 
@@ -118,7 +117,7 @@ class PybulletSimulation(Disturbed):
         """A robot, alone with its ground in an empty world."""
         bullet, world = self._clients[i], self.world
         bullet.resetSimulation()
-        bullet.setTimeStep(1.0 / self._rate)
+        bullet.setTimeStep(1.0 / PHYSICS_RATE_HZ)
         bullet.setGravity(0.0, 0.0, -GRAVITY)
         bullet.setPhysicsEngineParameter(deterministicOverlappingPairs=1)
         body = _Body(bullet, self._descriptions[i], self._ideal)
@@ -198,7 +197,7 @@ class _Body:
         at, _ = bullet.getBasePositionAndOrientation(self.id)
         bullet.applyExternalForce(self.id, -1, force_w, at, bullet.WORLD_FRAME)
 
-    def observe(self, out: Any, rate: float) -> None:
+    def observe(self, out: Any) -> None:
         """Writes the state, and the ground reaction forces of the last physics step, into a record of `OBSERVATION`."""
         bullet = self._bullet
         at, frame = bullet.getBasePositionAndOrientation(self.id)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # its disturbances are entries that refer to simulators
     from fastmimic.simulation.conditions import Conditions
 
 
-DEFAULT_PHYSICS_RATE_HZ: Final = 1000.0
+PHYSICS_RATE_HZ: Final = 1000.0
 PYBULLET_URDFS: Final = {"a1": "a1/a1.urdf"}  # in the package `pybullet_data`, by robot
 
 
@@ -125,11 +125,11 @@ def make_simulation(
     return SIMULATORS[conditions.simulator].make(robot, n, conditions, control_rate_hz, threads)
 
 
-def substeps_of(physics_rate_hz: float, control_rate_hz: float) -> int:
+def substeps_of(control_rate_hz: float) -> int:
     """Physics steps in a control step; raises `ConfigError` if they are not a whole number."""
-    substeps = physics_rate_hz / control_rate_hz
+    substeps = PHYSICS_RATE_HZ / control_rate_hz
     if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
         raise ConfigError(
-            f"the physics rate ({physics_rate_hz:g} Hz) must be a multiple of the control rate ({control_rate_hz:g} Hz)"
+            f"the physics rate ({PHYSICS_RATE_HZ:g} Hz) must be a multiple of the control rate ({control_rate_hz:g} Hz)"
         )
     return round(substeps)
