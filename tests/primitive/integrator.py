@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.primitive.rhythmic import RhythmicDmp
+from fastmimic.primitive.rhythmic import ALPHA, RhythmicDmp, normalised_basis
 
 # Gauss–Legendre nodes and weights on [0, 1]
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
@@ -26,7 +26,7 @@ class DmpIntegrator:
         """Starts on the limit cycle at `phase` (rad), or at rest at `position` (d,)."""
         self.dmp = dmp
         self.goal = np.array(dmp.goal, dtype=np.float64)
-        self.amplitude = np.ones(dmp.n_dims)
+        self.amplitude = np.ones(len(dmp.goal))
         self.period_s = dmp.period_s
         self.phase = float(phase)
         self._longest = 0.5 / float(np.sqrt(dmp.widths.max()))  # half the narrowest basis function
@@ -35,7 +35,7 @@ class DmpIntegrator:
             self._z = shape_rate(dmp, self.phase)
         else:
             self.position = np.array(position, dtype=np.float64)
-            self._z = np.zeros(dmp.n_dims)
+            self._z = np.zeros(len(dmp.goal))
 
     @property
     def velocity(self) -> Array:
@@ -51,16 +51,21 @@ class DmpIntegrator:
         return self.position
 
     def _advance(self, delta: float) -> None:
-        c = self.dmp.alpha / 2  # double pole at −c, since β = α/4
+        c = ALPHA / 2  # double pole at −c, since β = α/4
         decay = np.exp(-c * delta)
         offset = self.position - self.goal
         y = decay * ((1 + c * delta) * offset + delta * self._z)
         z = decay * (-(c**2) * delta * offset + (1 - c * delta) * self._z)
         left = delta * (1 - _NODES)  # phase from each node to the end of the step
-        response = (delta * _NODE_WEIGHTS * np.exp(-c * left))[:, None] * self.dmp.forcing(self.phase + delta * _NODES)
+        response = (delta * _NODE_WEIGHTS * np.exp(-c * left))[:, None] * forcing(self.dmp, self.phase + delta * _NODES)
         self.position = self.goal + y + self.amplitude * (left @ response)
         self._z = z + self.amplitude * ((1 - c * left) @ response)
         self.phase = (self.phase + delta) % (2 * np.pi)
+
+
+def forcing(dmp: RhythmicDmp, phase: Array) -> Array:
+    """f(φ) at phases (t,) → (t, d)."""
+    return np.asarray(np.einsum("tdn,dn->td", normalised_basis(phase, dmp.centres, dmp.widths), dmp.weights))
 
 
 def shape_rate(dmp: RhythmicDmp, phase: Array | float) -> Array:

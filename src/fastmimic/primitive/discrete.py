@@ -29,6 +29,7 @@ from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE, checked_samples,
 
 MAX_S: Final = 600.0  # longest motion; a search runs all of it for each candidate
 MAX_TAU_S: Final = 1.0
+DECAY: Final = ALPHA / 3  # αₓ: x decays to 1/4000
 _FUNCTIONS_PER_S: Final = 40.0  # least number; the knots of retargeted swings lie 25 ms apart
 _ROWS_PER_FUNCTION: Final = 5  # samples of the fit for each function; more do not improve it
 _CHUNK: Final = 256
@@ -58,7 +59,6 @@ class DiscreteDmp:
         start, start_rate: (d,) y₀, and ẏ₀ T, the change of y in the whole duration at its starting velocity.
         goal: (d,) end of the fitted motion.
         duration_s: T, from the first sample to the last, s.
-        alpha: stiffness α of the spring.
     """
 
     weights: Array
@@ -66,12 +66,9 @@ class DiscreteDmp:
     start_rate: Array
     goal: Array
     duration_s: float
-    alpha: float = ALPHA
 
     @classmethod
-    def fit(
-        cls, samples: Array, duration_s: float, n_basis: int = N_BASIS, ridge: float = RIDGE, alpha: float = ALPHA
-    ) -> "DiscreteDmp":
+    def fit(cls, samples: Array, duration_s: float, n_basis: int = N_BASIS) -> "DiscreteDmp":
         """Fits a movement by regularised least squares on y itself, which is linear in w.
 
         The usual regression on f needs second derivatives, which corners at touch-down spoil. Start, starting velocity
@@ -81,11 +78,10 @@ class DiscreteDmp:
             samples: (t, d) from start to end, evenly spaced, at least 4 and at most `MAX_S` long.
             duration_s: T, from the first to the last of them, s.
             n_basis: basis functions per dimension; a long motion gets more, one each 25 ms.
-            ridge: weight of the regularisation, without unit.
 
         Raises `MotionError` for too few, too long or non-finite samples, and `ConfigError` for a bad setting.
         """
-        y = checked_samples(samples, "the motion", duration_s=duration_s, n_basis=n_basis, ridge=ridge, alpha=alpha)
+        y = checked_samples(samples, "the motion", duration_s=duration_s, n_basis=n_basis)
         if duration_s > MAX_S:
             raise MotionError(
                 f"a motion that does not repeat lasts {MAX_S:g} s at most, found {duration_s:.1f} s; choose a part"
@@ -93,14 +89,14 @@ class DiscreteDmp:
             )
         n = max(n_basis, int(np.ceil(_FUNCTIONS_PER_S * duration_s)))
         start_rate = (len(y) - 1) * (-1.5 * y[0] + 2.0 * y[1] - 0.5 * y[2])
-        found = cls(np.zeros((y.shape[1], n)), y[0], start_rate, y[-1], float(duration_s), alpha)
+        found = cls(np.zeros((y.shape[1], n)), y[0], start_rate, y[-1], float(duration_s))
         rest, pull = found._unforced(len(y))
         left = y - rest - pull * y[-1]
         every = max(1, len(y) // (_ROWS_PER_FUNCTION * n))
         rows = np.unique(np.append(np.arange(0, len(y), every), len(y) - 1))
         band, right = _normal_equations(found, left, rows)
         gain = found.pole**2 + (0.5 * n) ** 2  # forcing grows with the square of a motion's frequency
-        band[:, -1] += ridge * len(rows) / (n * gain**2)
+        band[:, -1] += RIDGE * len(rows) / (n * gain**2)
         forces = solve_banded(band, right)
         return replace(found, weights=(forces / found.centres[:, None]).T / (duration_s / found.tau_s) ** 2)
 
@@ -109,23 +105,18 @@ class DiscreteDmp:
         return self.weights.shape[1]
 
     @property
-    def decay(self) -> float:
-        """αₓ: x decays to 1/4000."""
-        return self.alpha / 3
-
-    @property
     def tau_s(self) -> float:
         return min(self.duration_s, MAX_TAU_S)
 
     @property
     def pole(self) -> float:
         """c of the spring's double pole at −c (since β = α/4), per duration."""
-        return self.alpha / 2 * max(1.0, self.duration_s / MAX_TAU_S)
+        return ALPHA / 2 * max(1.0, self.duration_s / MAX_TAU_S)
 
     @cached_property
     def centres(self) -> Array:
         """Centres c (n_basis,) of the basis functions, in x, evenly spaced in time."""
-        return np.exp(-self.alpha / 3 * np.arange(self.n_basis) / max(self.n_basis - 1, 1))
+        return np.exp(-DECAY * np.arange(self.n_basis) / max(self.n_basis - 1, 1))
 
     @cached_property
     def widths(self) -> Array:
@@ -134,11 +125,6 @@ class DiscreteDmp:
             return np.ones(1)
         gap = self.centres[:-1] - self.centres[1:]
         return 0.5 * np.append(gap, gap[-1]) ** -2.0
-
-    def forcing(self, phase: Array | float) -> Array:
-        """f at canonical phases x (...) → (..., d)."""
-        x = np.asarray(phase, dtype=np.float64)
-        return x[..., None] * product(_basis(x, self.centres, self.widths), self.weights.T)
 
     def course(self, n_samples: int) -> DiscreteTerms:
         """The terms at `n_samples` (at least 2) evenly spaced times from start to end."""
@@ -193,7 +179,7 @@ def _windows(dmp: DiscreteDmp, n_samples: int) -> tuple[list[_Window], int]:
 
 def _acting(dmp: DiscreteDmp, window: _Window, steps: int) -> tuple[Array, Array]:
     """Phases (k, 3) at the quadrature's nodes of the window's k steps, and the normalised functions that act there."""
-    x = np.exp(-dmp.decay * (np.arange(window.first, window.last)[:, None] + _NODES) / steps)
+    x = np.exp(-DECAY * (np.arange(window.first, window.last)[:, None] + _NODES) / steps)
     return x, _basis(x, dmp.centres[window.acting], dmp.widths[window.acting])
 
 

@@ -29,7 +29,7 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import DmpRecord
 from fastmimic.primitive.discrete import DiscreteDmp, DiscreteTerms
-from fastmimic.primitive.rhythmic import N_BASIS, RhythmicDmp
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RhythmicDmp
 from fastmimic.robot.kinematics import leg_forward, leg_inverse
 from fastmimic.robot.robot import Robot
 
@@ -335,7 +335,7 @@ class MotionDmp:
         return DmpRecord(
             n_basis=self.primitive.n_basis,
             basis_width_min_max=(float(self.primitive.widths.min()), float(self.primitive.widths.max())),
-            alpha=self.primitive.alpha,
+            alpha=ALPHA,
             fit_rms=dict(self.fit_rms),
             names=NAMES,
             goal=tuple(goal.tolist()),

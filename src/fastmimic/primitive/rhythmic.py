@@ -25,7 +25,7 @@ from fastmimic.base.jit import kernel
 
 LEAST_SAMPLES: Final = 4
 N_BASIS: Final = 100
-ALPHA: Final = 25.0  # as in Ijspeert et al. 2013; critically damped with β = α/4
+ALPHA: Final = 25.0  # stiffness α, per radian of phase, as in Ijspeert et al. 2013; critically damped with β = α/4
 RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
 _FLOOR: Final = 0.2  # share of the basis functions that is spread evenly
 _SAMPLES_PER_FUNCTION: Final = 4  # least number of samples between two functions
@@ -39,44 +39,35 @@ class RhythmicDmp:
         weights, centres: (d, n_basis) weights w of the forcing term, and centres c of the basis functions, rad.
         goal: (d,) baseline g, the mean of the fitted motion.
         period_s: T of the fitted motion, s.
-        alpha: stiffness α of the filter, per radian of phase.
     """
 
     weights: Array
     centres: Array
     goal: Array
     period_s: float
-    alpha: float = ALPHA
 
     @classmethod
-    def fit(
-        cls, samples: Array, period_s: float, n_basis: int = N_BASIS, ridge: float = RIDGE, alpha: float = ALPHA
-    ) -> "RhythmicDmp":
+    def fit(cls, samples: Array, period_s: float, n_basis: int = N_BASIS) -> "RhythmicDmp":
         """Fits one cycle by regularised least squares on the limit cycle itself.
 
-        The weights minimise mean (y − g − s)² + ridge · mean (w/αβ)², since s is linear in w. The usual regression on f
-        = y″ + αy′ + αβ(y − g) needs second derivatives, which corners at touch-down spoil. g is the mean of the
+        The weights minimise mean (y − g − s)² + `RIDGE` · mean (w/αβ)², since s is linear in w. The usual regression on
+        f = y″ + αy′ + αβ(y − g) needs second derivatives, which corners at touch-down spoil. g is the mean of the
         samples, and the mean of f is made zero, so that (g, a) are not redundant with w.
 
         Args:
             samples: (t, d) one cycle, evenly spaced in [0, T), at least 4.
             period_s: T, s.
             n_basis: basis functions per dimension.
-            ridge: weight of the regularisation, without unit.
 
         Raises `MotionError` for too few or non-finite samples and `ConfigError` for a setting that is not positive.
         """
-        y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=n_basis, ridge=ridge, alpha=alpha)
+        y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=n_basis)
         goal = y.mean(axis=0)
         centres = place_basis(y, n_basis)
         weights = np.empty_like(centres)
         for row, dims in _distinct(centres):
-            weights[dims] = _fitted_weights(row, y[:, dims] - goal[dims], ridge, alpha)
-        return cls(weights, centres, goal, float(period_s), alpha)
-
-    @property
-    def n_dims(self) -> int:
-        return self.weights.shape[0]
+            weights[dims] = _fitted_weights(row, y[:, dims] - goal[dims])
+        return cls(weights, centres, goal, float(period_s))
 
     @property
     def n_basis(self) -> int:
@@ -86,11 +77,6 @@ class RhythmicDmp:
     def widths(self) -> Array:
         """Widths h (d, n_basis) of the basis functions."""
         return basis_widths(self.centres)
-
-    def forcing(self, phase: Array | float) -> Array:
-        """f(φ) at phases (...) → (..., d)."""
-        basis = normalised_basis(np.asarray(phase, dtype=np.float64), self.centres, self.widths)
-        return np.asarray(np.einsum("...dn,dn->...d", basis, self.weights))
 
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
@@ -106,8 +92,8 @@ class RhythmicDmp:
         columns = []
         for centres, dims in _distinct(self.centres):
             basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
-            columns.append((dims, _filtered(product(basis, self.weights[dims].T), self.alpha)))
-        out = np.zeros((max(len(column) for _, column in columns), self.n_dims), dtype=np.complex128)
+            columns.append((dims, _filtered(product(basis, self.weights[dims].T))))
+        out = np.zeros((max(len(column) for _, column in columns), len(self.weights)), dtype=np.complex128)
         for dims, column in columns:
             out[: len(column), dims] = column
         return out
@@ -126,22 +112,22 @@ def _fine_phases(centres: Array) -> Array:
     return 2 * np.pi * np.arange(n) / n
 
 
-def _filtered(forcing: Array, alpha: float) -> NDArray[np.complex128]:
+def _filtered(forcing: Array) -> NDArray[np.complex128]:
     """Harmonics (k, d) of the limit cycles of forcings (m, d), sampled over the cycle."""
     harmonics = np.fft.rfft(forcing, axis=0)[: len(forcing) // 2] / len(forcing)
     k = np.arange(len(harmonics))[:, None]
-    return harmonics / (alpha**2 / 4 - k**2 + 1j * alpha * k)
+    return harmonics / (ALPHA**2 / 4 - k**2 + 1j * ALPHA * k)
 
 
-def _fitted_weights(centres: Array, deviation: Array, ridge: float, alpha: float) -> Array:
+def _fitted_weights(centres: Array, deviation: Array) -> Array:
     """Weights (d, n) with limit cycles closest to `deviation` (t, d), the samples minus their mean."""
     t = len(deviation)
     basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
-    harmonics = _filtered(basis, alpha)
+    harmonics = _filtered(basis)
     finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
     response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)
     n = len(centres)
-    normal = product(response.T, response) / t + ridge / (n * (alpha**2 / 4) ** 2) * np.eye(n)
+    normal = product(response.T, response) / t + RIDGE / (n * (ALPHA**2 / 4) ** 2) * np.eye(n)
     weights = solve_banded(in_band(normal), product(response.T, deviation) / t).T
     # the basis sums to one, so this only removes the mean of f
     return weights - product(weights, basis.mean(axis=0)[:, None])
