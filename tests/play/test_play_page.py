@@ -150,7 +150,7 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         button = page.get_by_role("button", name=IN_PLACE, exact=True)
         button.wait_for(timeout=1e3 * PATIENCE_S)
         until(lambda: picture(page).std() > 12.0, page)  # not blank: ground, sky and a dark robot
-        trunk = live.scene.frame("trunk")
+        trunk = live.scene._bodies[0][0]
 
         button.click()
         until(lambda: session.state == IN_PLACE, page)

@@ -170,7 +170,7 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
             page.get_by_role("button", name="Play", exact=True).wait_for(timeout=1e3 * PATIENCE_S)
             until(lambda: picture(page).std() > 12.0, page)  # not blank: ground, sky and a dark robot
             before = picture(page)
-            trunk = viewer.robots[0].frame("trunk")
+            trunk = viewer.robots[0]._bodies[0][0]
             np.testing.assert_allclose(trunk.position, take.pose[0, :3], atol=1e-6)
 
             slider = page.get_by_role("slider").first

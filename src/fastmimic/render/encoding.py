@@ -1,7 +1,6 @@
 """Video files: H.264, VP9 or GIF, written atomically; qualities of drawing and encoding."""
 
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -126,11 +125,9 @@ def encoded(path: str | Path, arguments: list[str]) -> Iterator[Callable[[NDArra
 
 def _widen(pipe: IO[bytes]) -> None:
     """Enlarges a pipe's buffer where allowed."""
-    if not sys.platform.startswith("linux"):
-        return
-    import fcntl
+    with suppress(ImportError, AttributeError, OSError):  # only Linux can
+        import fcntl
 
-    with suppress(OSError):
         fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
 
 

@@ -77,17 +77,12 @@ def resample(track: Track, rate_hz: float, times: Array) -> Array:
     bad = ~np.isfinite(poses).all(axis=1)
     poses = poses[: int(np.argmax(bad)) if bad.any() else len(poses)]
     poses[:, 3:7] = rotations.quat_continuous(poses[:, 3:7])
-    between = _interpolated(poses, rate_hz * times)
+    between = interpolated(poses, rate_hz * times)
     between[:, 3:7] /= np.linalg.norm(between[:, 3:7], axis=1, keepdims=True)
     return between
 
 
-def resample_points(track: AnimalTrack, rate_hz: float, times: Array) -> Array:
-    """Points of an animal at `times` (n,) s, (n, k, 3); after the last sample they stay."""
-    return _interpolated(np.asarray(track.points_w, dtype=np.float64), rate_hz * times)
-
-
-def _interpolated(rows: Array, at: Array) -> Array:
+def interpolated(rows: Array, at: Array) -> Array:
     """Values (n, ...) between rows (t, ...) at the indices (n,), those outside at the ends; without n for one index."""
     at = np.clip(at, 0, len(rows) - 1)
     low = np.minimum(at.astype(np.int64), max(len(rows) - 2, 0))
@@ -173,7 +168,7 @@ class Animal:
         """`points` or `body` (t, k, 3) at samples (n,) of the demonstration, or at one: (n, k, 3) or (k, 3)."""
         course = np.concatenate([points, points[:1]]) if self._periodic else points
         last = self._samples if self._periodic else max(self._samples - 1, 1)
-        return _interpolated(course, np.asarray(sample) / last * (len(course) - 1))
+        return interpolated(course, np.asarray(sample) / last * (len(course) - 1))
 
 
 def animal_track(

@@ -19,7 +19,7 @@ from fastmimic.base.machine import available_cores
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, encoded, encoder_arguments
 from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
-from fastmimic.render.tracks import AnimalTrack, Track, resample, resample_contact, resample_points, world_feet
+from fastmimic.render.tracks import AnimalTrack, Track, interpolated, resample, resample_contact, world_feet
 from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene, ghost_rgba, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.simulation.terrain import Terrain
@@ -234,7 +234,7 @@ def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
 
 def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:
     if isinstance(track, AnimalTrack):
-        points = resample_points(track, rate_hz, times)
+        points = interpolated(np.asarray(track.points_w, dtype=np.float64), rate_hz * times)
         bones = points[:, np.array(track.skeleton.bones)]
         middle = (points.min(axis=1) + points.max(axis=1)) / 2
         heading = float(np.arctan2(*(middle[-1] - middle[0])[1::-1]))  # of its travel

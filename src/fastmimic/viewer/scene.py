@@ -178,10 +178,6 @@ class RobotScene:
             self._points.points = points.astype(np.float32)
             self._bones.points = marks.bone_segments(points).astype(np.float32)
 
-    def frame(self, body: str) -> "viser.FrameHandle":
-        """The scene node of one of the robot's bodies; raises `KeyError`."""
-        return {each.name: frame for each, (frame, _) in zip(self._puppet.bodies, self._bodies, strict=True)}[body]
-
     @property
     def layers(self) -> tuple[str, ...]:
         return tuple(self._groups)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot
 from fastmimic.viewer.gate import Gate
@@ -68,18 +69,11 @@ def require_viser() -> None:
         raise ConfigError(f"viser {viser.__version__} is too old: pip install --upgrade 'fastmimic[view]'")
 
 
-@dataclass(frozen=True)
-class Camera:
-    """A camera's place and target, scene coordinates, m."""
-
-    position: tuple[float, float, float]
-    look_at: tuple[float, float, float]
-
-
-def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> Camera:
-    """From the robot's front right, high enough to see the ground under its feet, with everything in the picture. The
-    robot's size sets the distance; `beside` are the places of robots and animal, m to the left of the middle; `yaw` is
-    the heading at the start, rad; `aspect` width over height of the picture."""
+def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> tuple[Array, Array]:
+    """A camera's place and what it looks at, (3,) scene coordinates, m: from the robot's front right, high enough to
+    see the ground under its feet, with everything in the picture. The robot's size sets the distance; `beside` are the
+    places of robots and animal, m to the left of the middle; `yaw` is the heading at the start, rad; `aspect` width
+    over height of the picture."""
     span = float(np.ptp(robot.hip_pos_b[:, 0])) + robot.leg_length
     alone = len(beside) == 1
     across = 0.0 if alone else max(beside) - min(beside)
@@ -95,8 +89,7 @@ def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: fl
     arm = distance * np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )
-    x, y, z = (float(v) for v in look_at + arm)
-    return Camera((x, y, z), (float(look_at[0]), float(look_at[1]), height))
+    return look_at + arm, look_at
 
 
 class Cameras:
@@ -104,8 +97,9 @@ class Cameras:
 
     def __init__(self, server: "viser.ViserServer", robot: Robot, beside: Sequence[float], yaw: float) -> None:
         self._server, self._robot, self._beside, self._yaw = server, robot, tuple(beside), yaw
-        camera, initial = default_camera(robot, beside, yaw), server.initial_camera
-        initial.position, initial.look_at, initial.fov = camera.position, camera.look_at, _FOV_RAD
+        initial = server.initial_camera
+        initial.position, initial.look_at = default_camera(robot, beside, yaw)
+        initial.fov = _FOV_RAD
         server.on_client_connect(self._welcome)
 
     def reset(self, client: "viser.ClientHandle | None") -> None:
@@ -128,10 +122,9 @@ class Cameras:
 
     def _aim(self, client: "viser.ClientHandle") -> None:
         """Aims; a narrow window, as a phone's, needs a camera further away."""
-        camera = default_camera(self._robot, self._beside, self._yaw, float(client.camera.aspect))
-        client.camera.position, client.camera.look_at = camera.position, camera.look_at
-        client.camera.up_direction = (0.0, 0.0, 1.0)
-        client.camera.fov = _FOV_RAD
+        camera = client.camera
+        camera.position, camera.look_at = default_camera(self._robot, self._beside, self._yaw, float(camera.aspect))
+        camera.up_direction, camera.fov = (0.0, 0.0, 1.0), _FOV_RAD
 
 
 class WebPage:
