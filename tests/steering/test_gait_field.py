@@ -60,7 +60,7 @@ def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
     assert steered.state == "standing"
     steered.steer(np.array([0.7, 0.0, 0.0]))
     advance(2.0)
-    assert steered.velocity[0] == pytest.approx(0.7, abs=0.01)
+    assert steered.place["velocity"][0, 0] == pytest.approx(0.7, abs=0.01)
     steered.steer(np.zeros(3))
     assert advance(2.0) < robot.joint_speed_limit.max()
     assert steered.state == "standing"

@@ -34,7 +34,7 @@ def test_it_goes_where_it_is_told_and_its_feet_do_not_slide(
     steered.steer(np.array(velocity))
     rows, poses, feet = run(steered, 4.0)
     period = gaits.rows.shape[1]
-    np.testing.assert_allclose(steered.velocity, velocity, atol=0.01)
+    np.testing.assert_allclose(steered.place["velocity"][0], velocity, atol=0.01)
     one, other = poses[-1 - 2 * period], poses[-1]
     turned = (other[2] - one[2]) / (2 * period * DT)
     assert turned == pytest.approx(velocity[2], abs=0.03)

@@ -66,8 +66,6 @@ class CommandSocket:
             raise ConfigError(f"UDP port {port} cannot be opened: {error}") from None
         self.port = int(self._socket.getsockname()[1])
         self._last, self._at = np.zeros(3), -math.inf
-        self.refused = 0
-        """Messages that were no velocity."""
 
     def close(self) -> None:
         self._socket.close()
@@ -79,10 +77,7 @@ class CommandSocket:
                 message = self._socket.recv(_MOST_BYTES)
             except (BlockingIOError, ConnectionError):
                 break
-            found = read_twist(message)
-            if found is None:
-                self.refused += 1
-            else:
+            if (found := read_twist(message)) is not None:
                 self._last, self._at = found, time.monotonic()
         if self._at == -math.inf:
             return None

@@ -71,7 +71,7 @@ class Steered:
         tilt = values[..., _TILT]
         tilt *= np.where(np.sum(tilt * tilt[-1, 0], axis=-1, keepdims=True) < 0, -1.0, 1.0)
         contact = np.ascontiguousarray(field.rows["contact"][n_gaits // 2 - 1])  # of the gait in the field's middle
-        until = np.array([[_rows_until(contact[:, leg], row) for leg in range(4)] for row in range(n)])
+        until = np.array([np.argmax(np.roll(contact, -row, axis=0) != 0, axis=0) for row in range(n)])  # 0 in stance
         schedule = contact, until, _stops(contact, field.rows["foot"][n_gaits // 2 - 1, ..., 2].max(axis=-1))
         self.field, self.gains = field, field.gains.reshape(-1)
         self.place = np.zeros(1, STEERED)
@@ -79,11 +79,6 @@ class Steered:
         self._given = (field.forwards, field.sideways, field.turning), values, schedule, field.gains.shape[1]
         self._work = np.zeros(1, _MIXTURE)[0], make_work(field.robot, 1.0 / RATE_HZ)[0]
         self.put(0.0, 0.0, 0.0)
-
-    @property
-    def velocity(self) -> Array:
-        """The present velocity (3,): forwards, to the left, m/s, turning to the left, rad/s."""
-        return np.array(self.place["velocity"][0])
 
     @property
     def state(self) -> str:
@@ -100,8 +95,8 @@ class Steered:
     stand = put
 
     def steer(self, velocity: Array) -> Array:
-        """Requests a velocity (3,) as `velocity`; returns the nearest one of the field, which it takes. Raises
-        `ConfigError` if it is not three finite numbers."""
+        """Requests a velocity (3,): forwards, to the left, m/s, turning to the left, rad/s; returns the nearest one of
+        the field, which it takes. Raises `ConfigError` if it is not three finite numbers."""
         if np.shape(velocity) != (3,) or not np.isfinite(velocity).all():
             raise ConfigError(f"a velocity to steer to has three numbers, found {velocity}")
         self.place["wanted"] = self.field.nearest(velocity)
@@ -135,11 +130,6 @@ def _rolls(rows: NDArray[Any]) -> Array:
     rolls = (after - feet) * (stands & np.roll(stands, -1, axis=1))
     rolls[-1] = 0.0  # who stands does not roll
     return np.asarray(rolls.reshape(*rows.shape, 8))
-
-
-def _rows_until(contact: NDArray[Any], row: int) -> int:
-    """Rows until a leg touches down, 0 if it stands."""
-    return int(np.argmax(np.roll(contact, -row) != 0))
 
 
 def _stops(contact: NDArray[Any], height: Array) -> NDArray[np.int64]:
