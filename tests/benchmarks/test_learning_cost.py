@@ -1,7 +1,7 @@
 """What a reward costs: courses as trainings and searches leave them, the table, the arithmetic, the figure."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,13 @@ from learning_cost import PAPER_STEPS, Course, cost_table, paper_cost, search_co
 from learning_cost_figure import cost_figure
 
 from fastmimic.base.errors import CheckpointError, OutputError, PolicyError
+from fastmimic.base.text import csv_text
 from fastmimic.experiments.comparison_run import ROW
-from fastmimic.learning.training import Evaluated, evaluations_csv
+from fastmimic.learning.training import Evaluated
 from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
 from learning.hand_made import random_policy
 
+COLUMNS = list(Evaluated.__dataclass_fields__)
 SCORES = np.array([[0.3, 0.5], [0.4, 0.2], [0.9, 0.1], [0.6, 0.7]])
 
 
@@ -30,7 +32,7 @@ def training(folder: Path, motion: str = "trot") -> Course:
         Evaluated(2000, 20.0, 2.0, 0.4, 0.3, False, 0.125),
         Evaluated(5000, 30.0, 4.0, 0.3, 0.3, False, 0.0),
     ]
-    (folder / "evaluations.csv").write_text(evaluations_csv(found))
+    (folder / "evaluations.csv").write_text(csv_text(COLUMNS, map(asdict, found)))
     return training_course(folder)
 
 
@@ -80,7 +82,7 @@ class TestTraining:
         (tmp_path / "evaluations.csv").write_text("steps,wall_s\n1,2\n")
         with pytest.raises(OutputError, match="no readable evaluations"):
             training_course(tmp_path)
-        (tmp_path / "evaluations.csv").write_text(evaluations_csv([]))
+        (tmp_path / "evaluations.csv").write_text(csv_text(COLUMNS, []))
         with pytest.raises(OutputError, match="no evaluation yet"):
             training_course(tmp_path)
 

@@ -12,7 +12,6 @@ import pytest
 import fastmimic as fm
 from control.motions import gait
 from fastmimic.base.errors import CheckpointError, ConfigError
-from fastmimic.imitation.stitch import usual_population
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.stitched import segment_clearance
@@ -199,7 +198,3 @@ class TestBadInput:
         with pytest.raises(ConfigError, match=message):
             fm.stitch([walk, walk], folder=tmp_path / "out", **given)
         assert not (tmp_path / "out").exists()
-
-
-def test_the_usual_population() -> None:
-    assert [usual_population(k) for k in (8, 24)] == [10, 13]

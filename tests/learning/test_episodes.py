@@ -15,7 +15,7 @@ from fastmimic.learning.policy import controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.conditions import Range, check_lasting, parse_range
+from fastmimic.simulation.conditions import Range, draw_uniform, parse_range
 from learning.hand_made import follower
 
 DECIMATION = PolicyConfig().decimation
@@ -165,7 +165,7 @@ def test_robots_can_differ(robot: Robot, motion: Motion) -> None:
 )
 def test_ranges_that_cannot_be_are_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        check_lasting([parse_range(text)])
+        draw_uniform([parse_range(text)], 1, np.random.default_rng())
 
 
 def test_what_does_not_fit_is_refused(robot: Robot, motion: Motion) -> None:

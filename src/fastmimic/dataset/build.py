@@ -1,8 +1,9 @@
 """Builds a library: surveys the sources, runs the remaining jobs, writes the index."""
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from random import Random
@@ -10,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
-from fastmimic.base.files import remove_file
-from fastmimic.dataset.excerpts import DatasetSource, Survey, look_of, save_survey, survey, survey_file
+from fastmimic.base.files import remove_file, write_text
+from fastmimic.dataset.excerpts import DatasetSource, Survey, look_of, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
@@ -197,7 +198,8 @@ class _Builder:
                     raise outcome.error
                 at = missing[outcome.index]
                 found[at] = outcome.result or Survey(sources[at], failed=str(outcome.error))
-                save_survey(self.library.path, found[at])
+                text = json.dumps(asdict(found[at]), indent=1, allow_nan=False)
+                write_text(survey_file(self.library.path, found[at].source), text)
                 tell(found[at])
         self._forget(known.values())
         return [found[i] for i in range(len(sources))]

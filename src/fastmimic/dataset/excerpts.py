@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from fastmimic import __version__
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ClipError, FastMimicError, LibraryError
-from fastmimic.base.files import write_text
 from fastmimic.clips.catalogue import check_name, open_clip, open_parts
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format, suffixes
@@ -378,11 +377,6 @@ def digest_of(piece: Clip | Motion) -> str:
         found += [motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact]
         found.append(repr((motion.rate_hz, None if motion.cycle is None else motion.cycle.tolist())).encode())
     return fingerprint(*found)
-
-
-def save_survey(folder: Path, found: Survey) -> None:
-    """Saves a survey; raises `OutputError` if it cannot."""
-    write_text(survey_file(folder, found.source), json.dumps(asdict(found), indent=1, allow_nan=False))
 
 
 def survey_file(folder: Path, source: DatasetSource) -> Path:

@@ -14,6 +14,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
+from fastmimic.executors import check_workers
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
@@ -98,8 +99,7 @@ def stitch(
     over = randomization(randomize)
     if over is not None and not chosen.optimises:
         raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
-    if workers is not None and workers < 1:
-        raise ConfigError(f"workers must be at least 1, found {workers}")
+    check_workers(workers)
     if isinstance(cycles, int) and cycles < 1:
         raise ConfigError(f"every motion needs at least one cycle, found {cycles}")
     checkpoints = Path(folder) if folder is not None else None
@@ -131,7 +131,7 @@ def stitch(
         whole = StitchedProblem(robot, demonstration, start=starts, config=config, group=group)
         given = whole.motion(whole.start)
     if chosen.optimises and whole is not None:
-        settings["population"] = population or usual_population(len(whole.parameters))
+        settings["population"] = population or 4 + int(3 * np.log(len(whole.parameters)))  # Hansen 2006
         stage("all together")
     elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
@@ -152,11 +152,6 @@ def stitch(
     # the optimiser's result includes the time before a resume
     own["wall_s"] += parts.wall_s + time.perf_counter() - began - elsewhere
     return Stitching(**own, individual=individual)
-
-
-def usual_population(parameters: int) -> int:
-    """CMA-ES's default population, 4 + 3 ln k (Hansen 2006)."""
-    return 4 + int(3 * np.log(parameters))
 
 
 def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: Robot) -> list[Motion]:

@@ -186,7 +186,8 @@ class _Training:
             policy.save(self.folder.path / POLICY_FILE)
             network = self.learner.onnx()
             replace_file(self.folder.path / ONNX, lambda file: file.write(network))
-        write_text(self.folder.path / EVALUATIONS, evaluations_csv(self.evaluations))
+        table = csv_text(list(Evaluated.__dataclass_fields__), map(asdict, self.evaluations))
+        write_text(self.folder.path / EVALUATIONS, table)
         return found
 
     def _about(self) -> dict[str, Any]:
@@ -239,10 +240,6 @@ def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, wa
         fell=bool(rollout.fell[0]),
         fell_perturbed=float(rollout.fell[1:].mean()),
     )
-
-
-def evaluations_csv(evaluations: list[Evaluated]) -> str:
-    return csv_text(list(Evaluated.__dataclass_fields__), (asdict(e) for e in evaluations))
 
 
 def _write(log: Any, done: Iteration, steps: int) -> None:

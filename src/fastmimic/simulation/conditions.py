@@ -277,19 +277,16 @@ def check_once(ranges: Sequence[Range]) -> None:
             raise ConfigError(f"the range of '{name}' is given twice")
 
 
-def check_lasting(ranges: Sequence[Range]) -> None:
-    """Checks ranges for a training, which can be resumed at any step; raises `ConfigError` if a disturbance has two
-    ranges, happens at a time, or is a delay (commands under way are not part of the training's state)."""
+def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> tuple[Disturbance, ...]:
+    """Draws n robots independently of each other, for a training, which can be resumed at any step. Raises
+    `ConfigError` if a disturbance has two ranges, happens at a time, or is a delay (commands under way are not part of
+    the training's state)."""
     check_once(ranges)
     possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
     for r in ranges:
         if r.name not in possible:
             raise ConfigError(f"'{r.name}' cannot differ between robots; what can: {', '.join(possible)}")
 
-
-def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> tuple[Disturbance, ...]:
-    """Draws n robots independently of each other; raises as `check_lasting`."""
-    check_lasting(ranges)
     return tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in ranges)
 
 
