@@ -125,6 +125,6 @@ def assert_damped(rig: Rig, limits: SafetyLimits | None = None) -> None:
     for name in ("joint_vel", "stiffness", "torque"):
         np.testing.assert_array_equal(last[name], 0.0)
     np.testing.assert_array_equal(last["damping"], limits.damping)
-    truth = rig.sim.truth[-1]
+    truth = rig.sim.body.observation[0]
     assert truth["root_pos"][2] < 0.17, "m; it stands at 0.28"
     assert np.abs(truth["joint_vel"]).max() < 1.0

@@ -306,13 +306,13 @@ def test_without_commands_the_simulated_robot_damps_by_itself(a1: Robot) -> None
             clock.time_s += 0.002
             sim.read()
             sim.write(hold)
-        stood = sim.truth[-1]["root_pos"][2]
+        stood = sim.body.observation[0]["root_pos"][2]
         assert not sim.body.damped
         for _ in range(500):
             clock.time_s += 0.002
             sim.read()
         assert sim.body.damped
-        assert sim.truth[-1]["root_pos"][2] < 0.6 * stood
+        assert sim.body.observation[0]["root_pos"][2] < 0.6 * stood
 
 
 def test_a_simulated_robot_that_nobody_looked_at_stood_still(a1: Robot) -> None:
@@ -352,7 +352,7 @@ def test_a_robot_on_its_back_has_fallen_whatever_stopped_it(trotting: Rig, a1: R
     trotting.put_in(SimDriver(a1, trotting.clock, conditions=pushed))
 
     def tipped(machine: StateMachine) -> bool:
-        _, x, y, _ = trotting.sim.truth[-1]["root_quat"]
+        _, x, y, _ = trotting.sim.body.observation[0]["root_quat"]
         return 1 - 2 * (x * x + y * y) < 0.3
 
     def press(machine: StateMachine) -> None:

@@ -202,7 +202,6 @@ def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
 ) -> None:
     sim, said = simulated(start="standing"), []
     with Go2Driver(go2, domain=sim.settings.domain, say=said.append) as driver:
-        assert driver.released == "normal"
         assert not sim.body.service.active
         assert height(sim.body) < 0.5 * go2.home_height
         state = driver.read(5.0)

@@ -105,7 +105,7 @@ def test_a_state_beyond_the_limits(case: str, stands: Rig) -> None:
 
 def test_a_robot_that_is_tipped_over(stands: Rig) -> None:
     def tip(machine: StateMachine) -> None:
-        state = stands.sim.truth[-1]
+        state = stands.sim.body.observation[0]
         position, rolling = state["root_pos"][None] + [[0.0, 0.0, 0.2]], np.array([[9.0, 0.0, 0.0]])
         rest = state["root_quat"][None], state["joint_pos"][None], np.zeros((1, 3)), rolling, np.zeros((1, 12))
         stands.sim.body.simulation.reset(position, *rest)

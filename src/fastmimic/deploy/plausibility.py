@@ -147,10 +147,7 @@ class Lean:
         self.begin()
 
     def begin(self) -> None:
-        self._seen: list[NDArray[Any]] = []
-        self._wanted: list[Array] = []
-        self._times: list[float] = []
-        self._loads: list[float] = []
+        self._told: list[tuple[Any, Array, float, float]] = []
 
     def posture(self, share: float) -> Array:
         """The joints (12,), rad, at a share in [0, 1] of the lean."""
@@ -160,16 +157,14 @@ class Lean:
     def add(self, reading: NDArray[Any], wanted: Array, elapsed_s: float, load: float) -> None:
         """Takes in a state (1,) of `READING`, the commanded joints (12,), and the `load` that the torques tell, N,
         NaN if none."""
-        self._seen.append(reading[0].copy())
-        self._wanted.append(wanted.copy())
-        self._times.append(elapsed_s)
-        self._loads.append(load)
+        self._told.append((reading[0].copy(), wanted.copy(), elapsed_s, load))
 
     def verdict(self, ground: Array, ground_limit: float) -> Doubt | None:
         """What cannot be believed after the lean; None if all sensors tell of the same movement. The plane of the feet
         is turned by `ground` (2,) from the IMU's level, rad, which may be `ground_limit`."""
-        seen, dt = np.array(self._seen, READING), np.array(self._times)[:, None]
-        joints, wanted = _moved(seen["joint_pos"]), _moved(np.array(self._wanted))
+        readings, commanded, times, loads = zip(*self._told, strict=True)
+        seen, dt = np.array(list(readings), READING), np.array(times)[:, None]
+        joints, wanted = _moved(seen["joint_pos"]), _moved(np.array(commanded))
         travelled = _moved(np.cumsum(seen["joint_vel"] * dt, 0))
         feet = np.stack([foot_positions(self._robot, q[None])[0] for q in seen["joint_pos"]])
         turned = rotvec_from_quat(quat_multiply(quat_conjugate(seen["quat"][:1]), seen["quat"]))
@@ -178,7 +173,7 @@ class Lean:
             or _joint_doubt(travelled, joints, "speed", "angle")
             or self._imu_doubt(feet, turned, "orientation")
             or self._imu_doubt(feet, np.cumsum(seen["gyro"] * dt, 0), "gyroscope")
-            or _load_doubt(float(np.mean(self._loads)) / self._weight, _LOAD)
+            or _load_doubt(float(np.mean(loads)) / self._weight, _LOAD)
             or _ground_doubt(float(np.hypot(*ground)), ground_limit)
         )
 

@@ -148,7 +148,6 @@ class Loop:
         return None
 
     def _period(self) -> Violation | None:
-        """One period: read, compute, check, write, record."""
         clock, machine = self.clock, self.machine
         fresh = self._read()
         read = clock.now()

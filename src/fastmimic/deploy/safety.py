@@ -126,10 +126,7 @@ class StopReason(Enum):
     @property
     def crouches(self) -> bool:
         """Whether the robot crouches before it is damped: no key was pressed, and it obeys."""
-        return self not in _AT_ONCE
-
-
-_AT_ONCE: Final = [StopReason(why) for why in ("key", "driver", "foreign_commands", "not_finite")]
+        return self not in (StopReason.KEY, StopReason.DRIVER, StopReason.FOREIGN, StopReason.NOT_FINITE)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, READING
 from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
-from fastmimic.simulation.simulators import make_simulation
+from fastmimic.simulation.simulators import Simulation, make_simulation
 
 STARTS: Final = ("lying", "standing")
 WATCHDOG_S: Final = 0.02  # without a command for longer, the motors only damp
@@ -71,7 +71,7 @@ class SimulatedBody:
     def __init__(
         self,
         robot: Robot,
-        simulation: Any,
+        simulation: Simulation,
         sensors: Sensors,
         rate_hz: float,
         start: str = STARTS[0],
@@ -104,8 +104,7 @@ class SimulatedBody:
     @property
     def observation(self) -> NDArray[Any]:
         """(1,) of `OBSERVATION`, the true state."""
-        observation: NDArray[Any] = self.simulation.observation
-        return observation
+        return self.simulation.observation
 
     @property
     def time(self) -> float:
@@ -262,11 +261,6 @@ class SimDriver(RobotDriver):
         sensors = Sensors(robot, 1, rate_hz, chosen.sensors, world)
         self.body = SimulatedBody(robot, simulation, sensors, rate_hz, start)
         self._truth: list[NDArray[Any]] = []
-
-    @property
-    def truth(self) -> NDArray[Any]:
-        """(steps + 1,) of `OBSERVATION`: the true states, by the sequence number of the state message."""
-        return np.concatenate(self._truth)
 
     def truth_at(self, sequence: NDArray[np.int64]) -> NDArray[Any]:
         """(k,) of `OBSERVATION`: the true states of messages by number (k,)."""

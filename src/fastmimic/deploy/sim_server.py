@@ -135,14 +135,13 @@ class SimServer:
         stop: threading.Event,
         duration_s: float = math.inf,
         report: Callable[["SimServer"], None] = lambda sim: None,
-        every_s: float = 1.0,
     ) -> None:
-        """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every `every_s`."""
+        """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every second."""
         dt = 1.0 / PHYSICS_RATE_HZ
         if self._log is not None:
             self._log.start()
         begin = due = time.perf_counter()
-        next_report, reported = every_s, (begin, self.body.time)
+        next_report, reported = 1.0, (begin, self.body.time)
         while not stop.is_set() and self.body.time < duration_s - 0.5 * dt:
             now = time.perf_counter()
             if now < due:
@@ -155,7 +154,7 @@ class SimServer:
                 self._publish()
             self._send()
             if self.body.time >= next_report:
-                next_report += every_s
+                next_report += 1.0
                 now = time.perf_counter()
                 self.realtime_factor = min(1.0, (self.body.time - reported[1]) / max(now - reported[0], 1e-9))
                 reported = now, self.body.time
@@ -211,7 +210,6 @@ class SimServer:
             self.body.obey(self._command)
 
     def _publish(self) -> None:
-        """Measures, logs and sends a state."""
         body = self.body
         reading = body.measure()
         self._tick += TICKS_PER_STATE

@@ -30,7 +30,6 @@ class Go2Driver(RobotDriver):
         """`domain` is 0 for robots; network `interface` is `lo` for a simulated one; `options` as for `RobotDriver`."""
         super().__init__(robot, **options)
         self._domain, self._interface = domain, interface
-        self.released: str | None = None  # mode of the motion service that was released
         self._participant: Participant | None = None
 
     def _connect(self) -> None:
@@ -47,7 +46,7 @@ class Go2Driver(RobotDriver):
         self._sequence, self._publisher = -1, 0
         self._await_states(participant)
         if self._release:
-            self.released = messages.release_motion_service(participant, self._lies, self._say)
+            messages.release_motion_service(participant, self._lies, self._say)
             self._check_alone()
         self._reader.take()  # states of before are old
         self._heard_others()
