@@ -273,22 +273,11 @@ class DisturbedMujocoSimulation(MujocoSimulation, Disturbed):
     3) in N, world frame, for this control step; and `constants_changed`, to be set after changes of masses, inertias,
     gravity or joints."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        n: int,
-        disturbances: Sequence[Disturbance],
-        *,
-        control_rate_hz: float = 500.0,
-        threads: int = 1,
-        ground: Terrain | None = None,
-        ideal: bool = False,
-    ) -> None:
-        """`robot` is without the disturbances; the rest as for `MujocoSimulation`. Raises `ConfigError` as
-        `make_world`, or if the control rate does not divide the physics rate."""
+    def __init__(self, robot: Robot, n: int, disturbances: Sequence[Disturbance], **options: Any) -> None:
+        """`robot` is without the disturbances; `options` and errors as for `MujocoSimulation`, and errors as for
+        `make_world`."""
         Disturbed.__init__(self, make_world(disturbances, n, "mujoco"))
-        options: dict[str, Any] = {"threads": threads, "ground": ground, "ideal": ideal}
-        MujocoSimulation.__init__(self, robot, n, control_rate_hz=control_rate_hz, **options)
+        MujocoSimulation.__init__(self, robot, n, **options)
         self.joint_dofs = self._index[12:24]
         self.trunk = int(self.model.jnt_bodyid[0])
         self.constants_changed = False

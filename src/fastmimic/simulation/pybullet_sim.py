@@ -243,7 +243,6 @@ def _check_fit(body: _Body, robot: Robot) -> None:
 
 
 def _ground(bullet: Any, ground: Terrain | None) -> int:
-    """A plane, or a height field."""
     if ground is None or ground.field is None:
         quat = [1.0, 0.0, 0.0, 0.0] if ground is None else ground.plane(np.zeros(()), np.zeros(())).quat
         plane = bullet.createCollisionShape(bullet.GEOM_PLANE)
