@@ -154,7 +154,6 @@ class Deploy:
             raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {SIM}'")
 
     def _load(self) -> tuple[Robot, Motion]:
-        """The driver's robot, and the motion for it."""
         from fastmimic.reference.standing import standing
 
         source = None if self.motion in (STAND, opt.STEER) else find_motion(self.motion)
@@ -364,7 +363,6 @@ class RobotSim:
         return 0 if is_whole(writer.ends) else EXIT_CUT_OFF
 
     def _settings(self) -> Any:
-        """The checked settings of the server."""
         from fastmimic.deploy.sim import LinkFaults
         from fastmimic.deploy.sim_server import SimSettings
 

@@ -132,7 +132,6 @@ class _Choice:
     """All seeds instead of the best one of each motion and robot."""
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
-        """The rows that were asked for."""
         from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
 
         known = (*GRADES, REJECTED, FAILURE)

@@ -179,15 +179,15 @@ class ClipOptions(ClipFileOptions):
         if self.cycle and self.discrete:
             raise ConfigError("a clip either repeats (--cycle) or is run once (--discrete): drop one of the two")
         takes = "--frames takes FIRST:END, 0-based, end exclusive, such as 162:201"
-        frames = None if self.frames is None else parse_pair(self.frames, r"(\d+)\s*:\s*(\d+)", takes)
         found = super().overrides()
-        once = found.pop("discrete")
-        found |= {
-            "frames": frames,
-            "cycle": False if once else self.cycle or None,
-            "executable": False if found.pop("no_executable") else None,
-        }
-        return {name: value for name, value in found.items() if value is not None}
+        if self.frames is not None:
+            found["frames"] = parse_pair(self.frames, r"(\d+)\s*:\s*(\d+)", takes)
+        cycle, once = found.pop("cycle"), found.pop("discrete")
+        if cycle or once:
+            found["cycle"] = cycle
+        if found.pop("no_executable"):
+            found["executable"] = False
+        return found
 
     def load(self, source: str, robot: str | None) -> tuple[Robot, Motion]:
         """The robot and its motion, retargeted if `source` is a clip."""

@@ -266,7 +266,6 @@ class View:
         )
 
     def _prepare(self, source: MotionSource) -> "tuple[Robot, list[list[Take]], str, Animal | None]":
-        """The robot, its takes, the heading, and the animal."""
         from fastmimic.imitation.evaluate import EVALUATION_S
         from fastmimic.render.tracks import Animal
 

@@ -71,12 +71,10 @@ class Play:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:
                     return serve(page, ", ".join(library.names), self.port)
             finally:
-                executor.shutdown(
-                    cancel_futures=True
-                )  # waits: the interpreter's own exit does not close the pool safely
+                # waits: the interpreter's own exit does not close the pool safely
+                executor.shutdown(cancel_futures=True)
 
     def _steered(self, config: ControllerConfig, conditions: Conditions) -> int:
-        """A robot that is steered."""
         from fastmimic.play.page import PlayPage
         from fastmimic.play.session import LiveSession
 

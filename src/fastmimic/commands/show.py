@@ -4,13 +4,13 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
-from fastmimic.base.files import packaged
+from fastmimic.base.files import packaged, remove_file
 from fastmimic.base.text import NONE, number
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.runs.work_folder import RunFolder
+from fastmimic.runs.work_folder import RESULTS, RunFolder
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
@@ -62,7 +62,8 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
     """Writes everything but the video, in place of an earlier run; raises `OutputError`."""
     from fastmimic.report.figures import draw_run
 
-    folder.clear_results()
+    for name in RESULTS:
+        remove_file(folder.path / name)
     draw_run(result, folder)
     folder.write(result.motion, config, result.metrics(), searched=result.history is not None)
 

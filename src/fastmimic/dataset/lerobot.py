@@ -70,7 +70,6 @@ def check_lerobot(folder: Path, rate_hz: float, fps: float) -> None:
 
 
 def _episode(rollout: Rollout, i: int, robot: Robot, every: int) -> Columns:
-    """The columns of an episode's frames."""
     log, lived, sign = rollout.course, int(rollout.steps[i]), robot.joint_sign
     state, command = log.observation[i, : max(lived - 1, 0) : every], log.command[i, 1:lived:every]
     torque = commanded_torque(command, state["joint_pos"], state["joint_vel"])

@@ -15,7 +15,7 @@ from fastmimic.play.live_panel import PlayPanel
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.scene import RobotScene
 from fastmimic.viewer.take import TRAIL_POINTS, TRAIL_S, Take
-from fastmimic.viewer.viewer import DEFAULT_PORT, FRAMES_PER_S, Cameras, WebPage
+from fastmimic.viewer.viewer import DEFAULT_PORT, FRAMES_PER_S, IDLE_S, Cameras, WebPage
 
 if TYPE_CHECKING:
     import viser
@@ -38,7 +38,6 @@ _PUSH_S: Final = 0.6  # time that a push is shown
 _LEAST_ARROW: Final = 0.5  # of the leg's length
 _CLEAR_M: Final = 0.14  # the tip's distance from the trunk's middle
 _CHARTS_PER_S: Final = 6.0
-_IDLE_S: Final = 0.05
 
 
 class Pacer:
@@ -234,7 +233,7 @@ class PlayPage(WebPage):
             try:  # from the first moment on: Ctrl-C may come at any
                 simulation = executor.submit(self.pacer.run, stop, self.history.add, self.history.every, self.watched)
                 simulation.add_done_callback(lambda _: stop.set())
-                while not stop.wait(1.0 / FRAMES_PER_S if self.watched() else _IDLE_S):
+                while not stop.wait(1.0 / FRAMES_PER_S if self.watched() else IDLE_S):
                     if self.watched():
                         self.draw()
                     else:

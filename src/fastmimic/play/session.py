@@ -331,7 +331,6 @@ class LiveSession:
         self._score(observation)
 
     def _score(self, observation: NDArray[Any]) -> None:
-        """Scores against the present demonstration."""
         self.reference.fill(self._truth, scored=True)
         self._clock["origin"] = self.reference.place["pose"]
         if self._observer is not None:  # the reference is where the robot is by its sensors

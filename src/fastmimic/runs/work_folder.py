@@ -113,11 +113,6 @@ class RunFolder:
     def finished(self) -> bool:
         return (self.path / METRICS).is_file()
 
-    def clear_results(self) -> None:
-        """Removes the results of an earlier run; raises `OutputError`."""
-        for name in RESULTS:
-            remove_file(self.path / name)
-
     def write(self, motion: Motion, config: Mapping[str, Any], metrics: Mapping[str, Any], *, searched: bool) -> None:
         """Writes the motion, `config.json` and `metrics.json`; raises `OutputError` if it cannot. Unless `searched`,
         the run has no checkpoint, and an earlier run's is removed."""

@@ -39,7 +39,7 @@ SHOWN: Final = ("ghost", "contacts", "paths")  # layers of a recording at first;
 LONGEST_S: Final = 10.0
 Repeat = Literal["all", "cycle", "off"]
 _CHARTS_PER_S: Final = 8.0
-_IDLE_S: Final = 0.05
+IDLE_S: Final = 0.05
 
 
 def free_port(port: int, tries: int = PORTS_TRIED) -> int:
@@ -269,7 +269,7 @@ class Viewer(WebPage):
     def run(self, stop: threading.Event) -> None:
         """Plays until `stop` is set; pauses without a browser."""
         before = time.monotonic()
-        while not stop.wait(_IDLE_S if not self.watched() else 0.2 / FRAMES_PER_S):
+        while not stop.wait(IDLE_S if not self.watched() else 0.2 / FRAMES_PER_S):
             now = time.monotonic()
             if not self.watched():
                 before = now
