@@ -128,11 +128,10 @@ class Clip:
         """Frames [start, end), 0-based; raises `ClipError` if they are not in the clip."""
         if not 0 <= start < end <= self.n_frames:
             raise not_in_clip((start, end), self.n_frames)
-        quat = None if self.root_quat_wxyz is None else self.root_quat_wxyz[start:end]
         return replace(
             self,
             points_w=self.points_w[start:end],
-            root_quat_wxyz=quat,
+            root_quat_wxyz=None if self.root_quat_wxyz is None else self.root_quat_wxyz[start:end],
             body_w=None if self.body_w is None else self.body_w[start:end],
             is_cycle=self.is_cycle if (start, end) == (0, self.n_frames) else None,
             meta={**self.meta, "frames": [start, end]},

@@ -332,8 +332,7 @@ def _segment(take: _Take, piece: _Piece, track: NDArray[np.int64]) -> Segment:
 def _named(take: _Take, piece: _Piece, period: float, cycle: tuple[int, int], confidence: float) -> Segment:
     speed, yaw_rate = _motion(take, piece.start, piece.end)
     footfall = footfall_of(np.angle(piece.legs) / (2 * math.pi))
-    turns = abs(yaw_rate) * period / take.rate_hz > take.config.turn_rad
-    gait = TURN if turns else footfall
+    gait = TURN if abs(yaw_rate) * period / take.rate_hz > take.config.turn_rad else footfall
     return Segment(piece.start, piece.end, gait, footfall, period, cycle, confidence, speed, yaw_rate)
 
 

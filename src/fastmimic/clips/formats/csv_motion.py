@@ -43,7 +43,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     `ClipError`: malformed (says which line and column), a joint without a column, or not upright."""
     table = read_table(text)
     header = table.header if table.header is not None and names_joints(table.header) else None
-    columns, names = _columns(table, header)
+    columns, names = _columns(header)
     largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
     values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest)
     rate, assumed = _rate(table, names, values, fps)
@@ -109,7 +109,7 @@ def names_joints(header: list[str]) -> bool:
     return any(leg in legs and joint in joints for leg, _, joint in (_plain(name).partition("_") for name in header))
 
 
-def _columns(table: Table, header: list[str] | None) -> tuple[list[int], list[str]]:
+def _columns(header: list[str] | None) -> tuple[list[int], list[str]]:
     """Indices of `COLUMN_NAMES` in the file, and the file's names of all its columns."""
     if header is None:
         return list(range(COLUMNS)), list(COLUMN_NAMES)

@@ -4,7 +4,7 @@ A point map is a JSON object that names a file's point for each of the ten of `P
 tracked points or joints holds, in its own names, axes and unit."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -28,16 +28,9 @@ _EXAMPLE: Final = json.dumps(BUILT_IN["AI4Animation's dog"])
 NORM_TOLERANCE: Final = 2e-3  # rounding to three decimals changes a unit quaternion's norm by up to 1e-3
 SHARE_OF_HEIGHT: Final = (0.85, 0.89)  # of shoulders below the withers and of hips below the croup, above the ground
 LEGS_TO_HEIGHT: Final = 1.3  # upper and lower leg, straight, to the mean height of shoulders and hips
-_TO_Z_UP: Final[Mapping[str, tuple[tuple[int, int, int], tuple[int, int, int]]]] = {
-    "y": ((2, 0, 1), (1, 1, 1)),
-    "z": ((0, 1, 2), (1, 1, 1)),
-    "x": ((1, 2, 0), (1, 1, 1)),
-    "-y": ((2, 0, 1), (1, -1, -1)),
-    "-z": ((0, 1, 2), (1, -1, -1)),
-    "-x": ((1, 2, 0), (1, -1, -1)),
-}
-"""Columns and signs that make an axis of the file the vertical one, without a reflection."""
-UP_AXES: Final = tuple(_TO_Z_UP)
+_TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2), "x": (1, 2, 0)}
+"""Columns that make an axis of the file the vertical one, without a reflection; for its opposite, two are negated."""
+UP_AXES: Final = (*_TO_Z_UP, *(f"-{axis}" for axis in _TO_Z_UP))
 _MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
 _UNITS: Final = ((3000.0, 0.0, "pixels"), (300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
 """Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""
@@ -105,8 +98,8 @@ class FileAxes:
 
     def to_world(self, points: Array) -> Array:
         """Points (..., 3) in the world, m."""
-        columns, signs = _TO_Z_UP[self.up]
-        turned = self.factor * np.ascontiguousarray(points[..., columns]) * np.array(signs)
+        signs = np.array([1, -1, -1] if self.up.startswith("-") else [1, 1, 1])
+        turned = self.factor * np.ascontiguousarray(points[..., _TO_Z_UP[self.up[-1]]]) * signs
         return turned if self.tilt is None else turned @ self.tilt.T
 
 
