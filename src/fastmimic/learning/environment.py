@@ -23,8 +23,9 @@ def _prepared(
     n: int,
     motion: str | Path | Motion,
     robot: str | Robot,
-    config: PolicyConfig | None,
-    randomize: Sequence[str],
+    *,
+    config: PolicyConfig | None = None,
+    randomize: Sequence[str] = (),
     **options: Any,
 ) -> tuple[Callable[[int], Episodes], gymnasium.Space[Any], gymnasium.Space[Any]]:
     """A function that makes the episodes of n robots for a seed, and the spaces of one's observation and action."""
@@ -69,7 +70,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         `fastmimic render` makes videos. Raises `FastMimicError` if there is no such robot, motion or range, or they do
         not fit together."""
         self._make, self.observation_space, self.action_space = _prepared(
-            1, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed
+            1, motion, robot, config=config, randomize=randomize, duration_s=duration_s, perturbed=perturbed
         )
         self._randomized = bool(randomize)
         self._episodes = self._make(0)
@@ -104,18 +105,13 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         motion: str | Path | Motion = "trot",
         robot: str | Robot = "a1",
         *,
-        duration_s: float = EPISODE_S,
-        perturbed: bool = True,
-        randomize: Sequence[str] = (),
-        config: PolicyConfig | None = None,
-        threads: int = 1,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        """Arguments and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a seeded reset;
-        the results do not depend on the number of `threads`."""
-        self._make, self.single_observation_space, self.single_action_space = _prepared(
-            num_envs, motion, robot, config, randomize, duration_s=duration_s, perturbed=perturbed, threads=threads
-        )
+        """Arguments, also `options`, and errors as for `ImitationEnv`, and `threads`, 1 by default. Robots and grounds
+        of `randomize` are drawn at a seeded reset; the results do not depend on the number of threads."""
+        prepared = _prepared(num_envs, motion, robot, **options)
+        self._make, self.single_observation_space, self.single_action_space = prepared
         self.num_envs = num_envs
         self.render_mode = render_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
