@@ -180,8 +180,8 @@ def write_video(
     folder: RunFolder,
     progress: Callable[[int, int], None] | None = None,
     quality: str = "preview",
-) -> bool:
-    """Adds the video, and its time to the metrics; False if nothing can draw. Arguments, errors as `render_video`."""
+) -> None:
+    """Adds the video, if anything can draw, and its time to the metrics. Arguments, errors as `render_video`."""
     from fastmimic.render.video import render_video
 
     began = time.perf_counter()
@@ -195,7 +195,6 @@ def write_video(
     )
     if info is not None:
         folder.write_metrics(result.metrics(), time.perf_counter() - began)
-    return info is not None
 
 
 def _tracks(result: Imitation) -> list[Track]:
