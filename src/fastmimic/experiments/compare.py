@@ -258,8 +258,7 @@ def _demonstrations(
     """Every motion; with ablations also without the consistency step."""
     raw = any(not ablation_named(name).consistent for name in plan.variants)
     for name in plan.motions:
-        motion = load_motion(name, robot).target
-        yield (name, True), motion
+        yield (name, True), load_motion(name, robot).target
         if raw:
             if Path(name).is_file() and detect_format(name) == "npz":
                 raise ConfigError(f"--ablations need the clip: '{name}' is already a robot motion")

@@ -49,8 +49,7 @@ class TransferStage:
         return Conditions(self.simulator, self.observe, seed, self.disturbances)
 
     def __str__(self) -> str:
-        said = f"{self.simulator}, {self.observe}"
-        return ", ".join([said, *map(str, self.disturbances)])
+        return ", ".join([self.simulator, self.observe, *map(str, self.disturbances)])
 
 
 ACTUATORS: Final = (

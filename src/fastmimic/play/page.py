@@ -210,8 +210,7 @@ class PlayPage(WebPage):
         self.pacer = Pacer(session, commands)
         self.history = LiveHistory(session)
         self.scene = LiveScene(self.server, self.history)
-        cameras = Cameras(self.server, session.robot, [0.0], 0.0)
-        self.panel = PlayPanel(self, cameras, heading)
+        self.panel = PlayPanel(self, Cameras(self.server, session.robot, [0.0], 0.0), heading)
         self._charts_at = 0.0
         self.draw()
 

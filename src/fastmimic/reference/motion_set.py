@@ -34,11 +34,6 @@ class Entry:
     demonstration: NDArray[Any]
     gains: NDArray[Any]
 
-    @property
-    def stands(self) -> bool:
-        """Whether no foot ever lifts off."""
-        return bool(self.motion.contact.all())
-
 
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
@@ -112,7 +107,8 @@ class MotionSet:
                 return
 
     def _stands(self, name: str) -> bool:
-        return self.entry(name).stands
+        """Whether no foot ever lifts off."""
+        return bool(self.entry(name).motion.contact.all())
 
     def _future(self, before: str, after: str) -> Future[CourseTransition | None]:
         key = (before, after)
@@ -142,8 +138,7 @@ def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float, regulator: R
     motion.check_robot(robot.name)
     course = course_of(motion, robot)
     demonstration = course if motion.demonstration is None else course_of(motion.demonstration, robot)
-    gains = motion_gains(motion, robot, regulator)
-    return Entry(name, motion, course, demonstration, gains)
+    return Entry(name, motion, course, demonstration, motion_gains(motion, robot, regulator))
 
 
 def in_place(robot: Robot) -> Motion:

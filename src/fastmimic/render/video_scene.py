@@ -161,8 +161,7 @@ def _seen(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _solid(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    solid: NDArray[np.bool_] = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return solid
+    return np.asarray((model.geom_contype != 0) | (model.geom_conaffinity != 0))
 
 
 def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float) -> None:

@@ -73,9 +73,7 @@ def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
     if reversed_joints:
         _turn_round(spec, model, reversed_joints)
         model, xml = spec.compile(), spec.to_xml()  # the zero pose stays
-    legs = [_leg(model, at_zero, trunk, chain) for chain in chains]
-    order = _order(model, legs)
-    legs = [legs[i] for i in order]
+    legs = _in_order([_leg(model, at_zero, trunk, chain) for chain in chains])
 
     home = _home(model)
     data = mujoco.MjData(model)
@@ -260,15 +258,15 @@ def _foot_geom(model: mujoco.MjModel, data: mujoco.MjData, chain: list[int]) -> 
     return min(spheres, key=lambda g: float(data.geom_xpos[g, 2]))
 
 
-def _order(model: mujoco.MjModel, legs: list[_Leg]) -> list[int]:
-    """Indices of FR, FL, RR, RL among the legs, by hip position."""
+def _in_order(legs: list[_Leg]) -> list[_Leg]:
+    """The legs FR, FL, RR, RL, by hip position."""
     signs = {"FR": (1, -1), "FL": (1, 1), "RR": (-1, -1), "RL": (-1, 1)}
     found = [tuple(np.sign(leg.geometry["hip_pos_b"][:2]).astype(int)) for leg in legs]
-    order = [found.index(signs[leg]) for leg in LEGS if signs[leg] in found]
-    if len(order) != 4:
+    ordered = [legs[found.index(signs[leg])] for leg in LEGS if signs[leg] in found]
+    if len(ordered) != 4:
         hips = ", ".join(str(np.round(leg.geometry["hip_pos_b"][:2], 3).tolist()) for leg in legs)
         raise RobotError(f"expected one leg front right, front left, rear right, rear left; hips at {hips}")
-    return order
+    return ordered
 
 
 def _home(model: mujoco.MjModel) -> Array:

@@ -47,8 +47,7 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
         for element in list(group):
             spec.delete(element)
     for geom in spec.geoms:
-        collides = geom.contype or geom.conaffinity
-        geom.contype, geom.conaffinity = 0, int(bool(collides))
+        geom.contype, geom.conaffinity = 0, int(bool(geom.contype or geom.conaffinity))
         if geom.name in robot.foot_geoms:
             geom.condim, geom.margin, geom.gap = SLIDING, 0.0, 0.0
             geom.solref, geom.solimp = plain.solref, plain.solimp
