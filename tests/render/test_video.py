@@ -145,24 +145,6 @@ def test_one_pose_makes_one_frame_and_panels_may_differ_in_length(a1: Robot, wal
 
 
 @pytest.mark.usefixtures("opengl")
-def test_supersampling_keeps_the_size_and_smooths_edges(a1: Robot, walk: Walk, tmp_path: Path) -> None:
-    for factor in (1, 3):
-        render_video(
-            a1,
-            [walk(0.1)],
-            tmp_path / f"{factor}.mp4",
-            rate_hz=RATE_HZ,
-            fps=10,
-            size=SIZE,
-            supersampling=factor,
-        )
-    rough, smooth = (read_video(tmp_path / f"{f}.mp4")[0, 45:150, 80:240].astype(int) for f in (1, 3))
-    assert rough.shape == smooth.shape
-    steps = [np.mean(np.abs(np.diff(shot.sum(axis=-1), axis=1)) > 200) for shot in (rough, smooth)]
-    assert steps[1] < steps[0]
-
-
-@pytest.mark.usefixtures("opengl")
 def test_three_tracks_make_a_grid_whose_last_cell_is_blank(a1: Robot, walk: Walk, tmp_path: Path) -> None:
     render_video(a1, [walk(0.1)] * 3, tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE, clock=False)
     first = read_video(tmp_path / "v.mp4")[0].astype(int)
@@ -329,7 +311,6 @@ def test_an_encoder_that_fails_is_one_clear_error_and_leaves_nothing(
         ({"rate_hz": 0.0}, "rate_hz must be positive, found 0"),
         ({"fps": float("nan")}, "fps must be positive, found nan"),
         ({"slow_motion": -1.0}, "slow_motion must be positive, found -1"),
-        ({"supersampling": 0.0}, "supersampling must be positive"),
         ({"size": (321, 180)}, "even width and height, found 321 x 180"),
         ({"quality": "hihg"}, "unknown quality 'hihg'; there are preview, high.*did you mean 'high'"),
         ({"columns": 2}, "1 panels cannot stand in 2 columns"),

@@ -49,17 +49,10 @@ HIGH: Final = Quality("high", (1280, 720), 2048, 4, 0.06, True, 36, "medium", 19
 QUALITIES: Final = Registry("quality", (PREVIEW, HIGH))
 
 
-def encoder_arguments(
-    path: str | Path,
-    source_size: tuple[int, int],
-    size: tuple[int, int],
-    fps: float,
-    quality: Quality,
-    frames: int,
-) -> list[str]:
-    """Arguments of ffmpeg for a video of `frames` frames of `source_size`, width and height in pixels, which it scales
-    to the video's `size`, even but for a GIF. GIFs repeat. Raises `OutputError` if `path` is a folder or has another
-    ending, `ConfigError` if width or height is odd or not positive, or a GIF would be far too large."""
+def encoder_arguments(path: str | Path, size: tuple[int, int], fps: float, quality: Quality, frames: int) -> list[str]:
+    """Arguments of ffmpeg for a video of `frames` frames of `size`, width and height in pixels, even but for a GIF.
+    GIFs repeat. Raises `OutputError` if `path` is a folder or has another ending, `ConfigError` if width or height is
+    odd or not positive, or a GIF would be far too large."""
     ending = Path(path).suffix.lower()
     if ending not in ENDINGS:
         raise OutputError(f"{path}: a video's name must end in {' or '.join(ENDINGS)}")
@@ -74,9 +67,8 @@ def encoder_arguments(
             f"{path}: a GIF of {frames} frames of {size[0]} x {size[1]} would be enormous; make it smaller, shorter"
             f" or of fewer frames a second, up to {GIF_MEGAPIXELS} megapixels in all ({megapixels:.0f}), or an .mp4"
         )
-    source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*source_size), "-r", f"{fps:g}")
-    scale = "" if source_size == size else ",scale={}:{}:flags=area".format(*size)
-    filters = f"vflip{scale}" + (f",format=rgb24,{_PALETTE}" if gif else "")
+    source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", f"{fps:g}")
+    filters = "vflip" + (f",format=rgb24,{_PALETTE}" if gif else "")
     made = (*_encode(ending, quality), "-f", ending[1:])
     return ["-y", "-v", "error", *source, "-i", "-", "-an", "-lavfi", filters, *made]
 

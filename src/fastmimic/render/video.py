@@ -104,7 +104,6 @@ def render_video(
     quality: Quality | str = PREVIEW,
     progress: Callable[[int, int], None] | None = None,
     slow_motion: float = 1.0,
-    supersampling: float = 1.0,
     columns: int | None = None,
     marks: bool = True,
     clock: bool = True,
@@ -123,7 +122,6 @@ def render_video(
         quality: one of `fastmimic.render.encoding.QUALITIES`.
         progress: called with (frames done, frames in all) after each frame.
         slow_motion: how many times slower than reality the video plays.
-        supersampling: draw larger by this factor and scale down.
         columns: of panels, if different from the above.
         marks: whether feet leave trails, and discs on the ground show loaded feet.
         clock: whether the time is shown.
@@ -141,25 +139,24 @@ def render_video(
     fps = fps if fps is not None else (GIF_FPS if gif else FPS)
     size = size if size is not None else (GIF_SIZE if gif else quality.size)
     columns = columns if columns is not None else min(len(tracks), 2)
-    numbers = {"rate_hz": rate_hz, "fps": fps, "slow_motion": slow_motion, "supersampling": supersampling}
+    numbers = {"rate_hz": rate_hz, "fps": fps, "slow_motion": slow_motion}
     for name, value in numbers.items():
         if not (np.isfinite(value) and value > 0):
             raise ConfigError(f"{name} must be positive, found {value:g}")
     if not 1 <= columns <= len(tracks):
         raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
     longest = max(len(t.points_w if isinstance(t, AnimalTrack) else t.root_pos_w) for t in tracks)
-    drawn_size = (round(size[0] * supersampling), round(size[1] * supersampling))
     count = max(1, round(longest / rate_hz * (fps * slow_motion)))
     times = np.arange(count) / (fps * slow_motion)  # in the motion, s
     frames = _frames(times, window_s)
-    arguments = encoder_arguments(path, drawn_size, size, fps, quality, len(frames))
+    arguments = encoder_arguments(path, size, fps, quality, len(frames))
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
-    video_scene = _build(robot, shown, drawn_size, quality, loop_m)
+    video_scene = _build(robot, shown, size, quality, loop_m)
     ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
     legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
     note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
     words = [(t.title, t.caption) for t in tracks]
-    overlay = Overlay(*drawn_size, words, legend, note, columns=columns, clock=clock)
+    overlay = Overlay(*size, words, legend, note, columns=columns, clock=clock)
 
     try:
         with ExitStack() as stack:
@@ -167,7 +164,7 @@ def render_video(
             # without a graphics card each painter uses one core and sometimes waits
             number = min(_MAX_PAINTERS, available_cores() + 1, len(frames)) if in_any_thread() else 1
             for _ in range(number):
-                panels = _panels(video_scene, robot, shown, times, drawn_size, columns)
+                panels = _panels(video_scene, robot, shown, times, size, columns)
                 painters.append(stack.enter_context(_painter(video_scene, panels, columns)))
             write = stack.enter_context(encoded(path, arguments))
             _film(painters, frames, times, overlay, write, progress)

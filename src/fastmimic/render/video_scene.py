@@ -178,7 +178,7 @@ def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float
         _lay_checker(spec, tile, quality.reflectance)
         return
     for parity, (name, rgb) in enumerate(zip(_TILES, _tile_colours(spec), strict=True)):
-        vertices, faces = _checkered(tile, _TILED_M, parity)
+        vertices, faces = _checkered(tile, parity)
         if parity == 0:
             vertices, faces = _framed(vertices, faces)
         spec.add_mesh(
@@ -222,9 +222,9 @@ def _tile_colours(spec: mujoco.MjSpec) -> Array:
     return np.array([texture.rgb1, texture.rgb2])
 
 
-def _checkered(tile: float, reach: float, parity: int) -> tuple[Array, NDArray[np.int32]]:
-    """Every other tile of a square of ± `reach` m: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
-    n = 2 * int(np.ceil(reach / (2 * tile)))
+def _checkered(tile: float, parity: int) -> tuple[Array, NDArray[np.int32]]:
+    """Every other tile of a square of ± `_TILED_M`: vertices (k, 4, 3) and triangles (k, 2, 3), facing up."""
+    n = 2 * int(np.ceil(_TILED_M / (2 * tile)))
     column, row = np.meshgrid(np.arange(-n, n), np.arange(-n, n))
     low = np.stack([column, row], axis=-1)[(column + row) % 2 == parity] * tile
     return _quads(low, low + tile)
