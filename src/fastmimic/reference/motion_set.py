@@ -78,21 +78,15 @@ class MotionSet:
         """The next motion on the way from `now` to `goal` and the transition to it; None while that is being made.
         Raises `MotionError`: no sequence of transitions leads there."""
         near = IN_PLACE in (now, goal)
-        if near or not (self._stands(now) or self._stands(goal)):  # from standing, step in place first
-            direct = self._future(now, goal)
-            if not direct.done():
+        direct = near or not (self._stands(now) or self._stands(goal))  # from standing, step in place first
+        for after in (*([goal] if direct else []), *([] if near else [IN_PLACE])):
+            transition = self._future(now, after)
+            if after != goal:
+                self._future(after, goal)  # which is needed next
+            if not transition.done():
                 return None
-            transition = direct.result()
-            if transition is not None:
-                return goal, transition
-        if not near:
-            around = self._future(now, IN_PLACE)
-            self._future(IN_PLACE, goal)
-            if not around.done():
-                return None
-            through = around.result()
-            if through is not None:
-                return IN_PLACE, through
+            if (found := transition.result()) is not None:
+                return after, found
         raise MotionError(f"no transitions lead from '{now}' to '{goal}'")
 
     def prepare(self, now: str) -> None:

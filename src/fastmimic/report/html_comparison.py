@@ -151,7 +151,7 @@ def _rows(path: Path, missing: list[str]) -> list[Row]:
 
 def rewards(found: Sequence[Summary]) -> Figure:
     """Reward of every method on every motion, nominal and from perturbed starts; without variants."""
-    means = {method_named(m).label: _over_motions(found, m, "reward_mean") for m in _methods(found)}
+    means = {method_named(m).label: _over_motions(found, m) for m in _methods(found)}
     best = max(means.values())
     leading = [label for label, mean in means.items() if mean > best - _ALIKE]
     title = "Reward of each method on each motion"
@@ -299,9 +299,9 @@ def _methods(found: Sequence[Summary]) -> list[str]:
     return [name for name in METHODS if any(s.method == name for s in found)]
 
 
-def _over_motions(found: Sequence[Summary], method: str, column: str) -> float:
-    """Mean over the motions of a method's means; −1 without any."""
-    values = [mean for s in found if s.method == method and (mean := s.mean(column)) is not None]
+def _over_motions(found: Sequence[Summary], method: str) -> float:
+    """Mean over the motions of a method's mean rewards; −1 without any."""
+    values = [mean for s in found if s.method == method and (mean := s.mean("reward_mean")) is not None]
     return float(np.mean(values)) if values else -1.0
 
 
