@@ -18,7 +18,6 @@ from fastmimic.deploy.go2.messages import (
     LowState,
     StateWire,
     crc32,
-    roll_pitch_yaw,
 )
 from fastmimic.robot.state import COMMAND, READING
 
@@ -202,10 +201,3 @@ def test_states_that_make_no_sense_are_not_sound(broken: str) -> None:
     wire = StateWire(record)
     wire.write(reading, 1) if broken != "quat" else None  # a quaternion of zeros
     assert not wire.read(0, np.zeros(1, READING)).sound
-
-
-def test_angles_of_a_quaternion() -> None:
-    half = np.sqrt(0.5)
-    assert roll_pitch_yaw(np.array([half, half, 0, 0])) == pytest.approx((np.pi / 2, 0, 0))
-    assert roll_pitch_yaw(np.array([np.cos(0.5), 0, np.sin(0.5), 0])) == pytest.approx((0, 1, 0))
-    assert roll_pitch_yaw(np.array([half, 0, 0, half])) == pytest.approx((0, 0, np.pi / 2))

@@ -94,8 +94,8 @@ def turned_about_z(v: Array, angle: Array | float) -> Array:
 
 
 def roll_pitch_from_quat(q: Array) -> tuple[Array, Array]:
-    """Roll and pitch (t,), rad, of (t, 4): the ZYX Euler angles that go with `yaw_from_quat`."""
-    w, x, y, z = q.T
+    """Roll and pitch (...), rad, of (..., 4): the ZYX Euler angles that go with `yaw_from_quat`."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     return roll, np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
 

@@ -12,9 +12,10 @@ import numpy as np
 
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError, DriverError
+from fastmimic.base.rotations import roll_pitch_from_quat, yaw_from_quat
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.go2 import messages
-from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire, roll_pitch_yaw
+from fastmimic.deploy.go2.messages import RATE_HZ, TICKS_PER_STATE, CommandWire, LowCommand, StateWire
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
@@ -164,6 +165,7 @@ class SimServer:
     def summary(self) -> dict[str, Any]:
         """The run's figures, JSON-serialisable."""
         truth = self.body.observation[0]
+        quat = truth["root_quat"]
         return {
             "duration_s": round(self.body.time, 3),
             "realtime_factor": round(self.realtime_factor, 4),
@@ -172,7 +174,7 @@ class SimServer:
             "motion_service": self.body.service.active,
             "fell": self.body.fell,
             "base_pos": [round(float(v), 4) for v in truth["root_pos"]],
-            "base_rpy": [round(float(v), 4) for v in roll_pitch_yaw(truth["root_quat"])],
+            "base_rpy": [round(float(v), 4) for v in (*roll_pitch_from_quat(quat), yaw_from_quat(quat))],
         }
 
     def close(self) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import DriverError
+from fastmimic.base.rotations import roll_pitch_from_quat, yaw_from_quat
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, TextReader, Writer
 from fastmimic.deploy.dds.types import messages_of
 
@@ -147,7 +148,8 @@ class StateWire:
         """Puts (1,) of `READING` into the first message, with its tick (ms) and checksum."""
         for name, wire in self._fields:
             wire[0] = reading[name][0]
-        self._rpy[0] = roll_pitch_yaw(reading["quat"][0])
+        quat = reading["quat"][0]
+        self._rpy[0] = (*roll_pitch_from_quat(quat), yaw_from_quat(quat))
         self._feet[0] = np.clip(np.rint(FOOT_COUNTS_PER_N * reading["foot_force"][0]), -32768, 32767)
         self._ticks[0] = tick & 0xFFFFFFFF
         self._words[0, -1] = crc32(self._words[0])
@@ -174,16 +176,6 @@ class Received(NamedTuple):
     expected: int
     sound: bool  # finite, with a valid quaternion
     tick: int  # ms
-
-
-def roll_pitch_yaw(quat: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Angles about x, y and z, rad, of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = (float(v) for v in quat)
-    return (
-        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-        math.asin(min(max(2 * (w * y - z * x), -1.0), 1.0)),
-        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-    )
 
 
 class Answer(NamedTuple):
