@@ -26,8 +26,8 @@ from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_world import GettingUp, GettingUpPhase, LiveWorld
 from fastmimic.reference.live_reference import LiveReference
-from fastmimic.reference.motion_set import IN_PLACE, MotionSet, in_place
-from fastmimic.reference.standing import STAND, standing
+from fastmimic.reference.motion_set import ALWAYS, IN_PLACE, MotionSet
+from fastmimic.reference.standing import STAND
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
@@ -39,7 +39,6 @@ from fastmimic.steering.gait_field import GaitField
 from fastmimic.steering.steered import Steered
 
 DEFAULTS: Final = (STAND, IN_PLACE, "walk", "trot", "pace", "turn", "side-step", "spin", "backward-trot", "bound")
-_MADE: Final = {STAND: standing, IN_PLACE: in_place}
 _TIMINGS: Final = 2000
 _PREPARING: Final = 50  # control steps between two attempts to prepare something
 
@@ -82,8 +81,8 @@ def load_motions(sources: Sequence[str | MotionSource], robot: Robot) -> dict[st
     for given in sources:
         source = find_motion(given) if isinstance(given, str) else given
         name = source.name
-        if name in _MADE:
-            motion = _MADE[name](robot)
+        if name in ALWAYS:
+            motion = ALWAYS[name](robot)
         else:
             motion = source.load(robot)
             name = name if name in GAITS or ":" in name else _short(name, motion)

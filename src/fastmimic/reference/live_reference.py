@@ -9,7 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition
-from fastmimic.reference.motion_set import Entry, MotionSet
+from fastmimic.reference.motion_set import MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.stream import Stream, make_place
 from fastmimic.robot import Robot
@@ -90,15 +90,10 @@ class LiveReference:
 
     def _courses(self, scored: bool = False) -> tuple[NDArray[Any], NDArray[Any] | None]:
         """The present course and the next, if known; if `scored`, those of the demonstration."""
-        after: Entry | CourseTransition | None
-        if self._transition is not None:
-            now: Entry | CourseTransition = self._transition
-            after = self._following
-        else:
-            now, after = self._entry, self._armed[1] if self._armed is not None else None
-        if scored:
-            return now.demonstration, None if after is None else after.demonstration
-        return now.course, None if after is None else after.course
+        armed = None if self._armed is None else self._armed[1]
+        now, after = (self._entry, armed) if self._transition is None else (self._transition, self._following)
+        kind = "demonstration" if scored else "course"
+        return getattr(now, kind), None if after is None else getattr(after, kind)
 
     def update(self) -> None:
         """Looks for a path to the goal, and starts it."""

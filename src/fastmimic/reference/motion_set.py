@@ -56,12 +56,8 @@ class MotionSet:
         self._executor, self._source = executor, source if source is not None else robot.name
         self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
         self._busy: Future[Any] | None = None
-        self.entries: dict[str, Entry] = {}
-        for name, make in ((STAND, standing), (IN_PLACE, in_place)):
-            if name not in motions:
-                self.entries[name] = _entry(name, make(robot), robot, rate_hz, self._regulator)
-        for name, motion in motions.items():
-            self.entries[name] = _entry(name, motion, robot, rate_hz, self._regulator)
+        every = {name: make(robot) for name, make in ALWAYS.items() if name not in motions} | dict(motions)
+        self.entries = {name: _entry(name, each, robot, rate_hz, self._regulator) for name, each in every.items()}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -140,6 +136,9 @@ def in_place(robot: Robot) -> Motion:
     motion, _ = retarget(open_clip("trot", robot=robot, speed=0.0), robot)
     return motion
 
+
+ALWAYS: Final = {STAND: standing, IN_PLACE: in_place}
+"""What makes the motions that every set has."""
 
 _robot_of = cache(load_robot)
 

@@ -151,15 +151,13 @@ class Overlay:
             plate = _plate([(name, font, _WHITE)], round(8 * self._unit), self._unit, color)
             self._plates.append((plate, height - plate.height - margin, width - plate.width - margin))
         half = max(1, round(1.5 * self._unit))  # of the bars between panels
-        self._columns = [slice(at - half, at + half) for at in {left for left, *_ in cells} - {0}]
-        self._rows = [slice(at - half, at + half) for at in {top for _, top, *_ in cells} - {0}]
+        self._bars: list[Any] = [np.s_[:, at - half : at + half] for at in {left for left, *_ in cells} - {0}]
+        self._bars += [np.s_[at - half : at + half] for at in {top for _, top, *_ in cells} - {0}]
         self._clock_at = (margin, height - margin)
 
     def draw(self, frame: NDArray[np.uint8], time_s: float) -> None:
         """Draws onto `frame` (height, width, 3) in place."""
-        for bar in self._columns:
-            frame[:, bar] = 255
-        for bar in self._rows:
+        for bar in self._bars:
             frame[bar] = 255
         for plate, top, left in self._plates:
             _blend(frame, plate, top, left)
