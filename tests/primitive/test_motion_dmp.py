@@ -45,10 +45,10 @@ def assert_fits(dmp: MotionDmp) -> None:
 
 
 def test_there_are_24_named_dimensions(dmp: MotionDmp) -> None:
-    assert len(dmp.names) == 24
-    assert dmp.names[0] == "root_x"
-    assert dmp.names[5] == "root_yaw"
-    assert [dmp.names[i] for i in FOOT_Z] == ["FR_foot_z", "FL_foot_z", "RR_foot_z", "RL_foot_z"]
+    assert len(NAMES) == len(dmp.goal) == 24
+    assert NAMES[0] == "root_x"
+    assert NAMES[5] == "root_yaw"
+    assert [NAMES[i] for i in FOOT_Z] == ["FR_foot_z", "FL_foot_z", "RR_foot_z", "RL_foot_z"]
     assert dmp.index("FR_foot_z") == FOOT_Z[0]
     assert dmp.goal.shape == (24,)
     np.testing.assert_array_equal(dmp.amplitude, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fastmimic.render.encoding import HIGH, PREVIEW
-from fastmimic.render.video_scene import GHOST_GROUP, build_video_scene, ghost_rgba
+from fastmimic.render.video_scene import GHOST_GROUP, GHOST_RGBA, build_video_scene
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.simulation.conditions import Conditions, parse_terrain
 
@@ -36,7 +36,7 @@ def test_the_ghost_is_translucent_and_leaves_the_robot_as_it_is(a1: Robot) -> No
     np.testing.assert_array_equal(both.model.geom_rgba[:n], alone.model.geom_rgba)
     np.testing.assert_array_equal(both.model.geom_size[:n], alone.model.geom_size)
     trunk = both.model.geom("ghost/trunk")
-    np.testing.assert_allclose(trunk.rgba, ghost_rgba(), atol=1e-6)
+    np.testing.assert_allclose(trunk.rgba, GHOST_RGBA, atol=1e-6)
     assert 0 < trunk.rgba[3] < 1
     assert trunk.group[0] == GHOST_GROUP
     assert not both.casts_shadow[n:].any()

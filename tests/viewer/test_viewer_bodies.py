@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fastmimic.episode.rollout import Rollout
-from fastmimic.render.video_scene import GHOST_GROUP, build_video_scene, ghost_rgba
+from fastmimic.render.video_scene import GHOST_GROUP, GHOST_RGBA, build_video_scene
 from fastmimic.robot import Robot, load_robot
 from fastmimic.simulation.mujoco_sim import build_model
 from fastmimic.viewer.bodies import Puppet, surface
@@ -59,7 +59,7 @@ def test_meshes_fill_the_geoms(name: str) -> None:
                 assert mesh.faces.min() >= 0
                 assert mesh.faces.max() < len(mesh.vertices)
     colours = {rgb for body in puppet.ghost_bodies for _, rgb in body.parts}
-    assert colours == {tuple(round(255 * c) for c in ghost_rgba()[:3])}
+    assert colours == {tuple(round(255 * c) for c in GHOST_RGBA[:3])}
     assert len({rgb for body in puppet.bodies for _, rgb in body.parts}) > 2
 
 

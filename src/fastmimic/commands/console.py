@@ -52,9 +52,9 @@ def note(text: str) -> None:
 
 
 @contextmanager
-def slow_start(text: str = SLOW_START, after_s: float = SLOW_START_S) -> Iterator[Callable[[], None]]:
+def slow_start(text: str = SLOW_START) -> Iterator[Callable[[], None]]:
     """Prints `text` if the block is still busy after a while, unless the yielded function was called before."""
-    timer = threading.Timer(after_s, note, [text])
+    timer = threading.Timer(SLOW_START_S, note, [text])
     timer.daemon = True
     timer.start()
     try:

@@ -248,11 +248,6 @@ class MotionDmp:
         return cls(motion, robot, primitive, twist, rms)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The 24 dimensions: `root_x`, …, `RL_foot_z`."""
-        return NAMES
-
-    @property
     def goal(self) -> Array:
         """A copy of the fitted baselines or goals g, (24,): m, rad, m/s, rad/s."""
         return self.primitive.goal.copy()

@@ -20,7 +20,7 @@ from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, encoded, encoder_arguments
 from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
 from fastmimic.render.tracks import AnimalTrack, Track, interpolated, resample, resample_contact, world_feet
-from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene, ghost_rgba, leg_rgba
+from fastmimic.render.video_scene import GHOST_RGBA, TILE_M, CameraView, VideoScene, build_video_scene, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.simulation.terrain import Terrain
 
@@ -153,7 +153,7 @@ def render_video(
     shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
     video_scene = _build(robot, shown, size, quality, loop_m)
     ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
-    legend = (ghost_rgba()[:3], ghosts[0].title or "demonstration") if ghosts else None
+    legend = (GHOST_RGBA[:3], ghosts[0].title or "demonstration") if ghosts else None
     note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
     words = [(t.title, t.caption) for t in tracks]
     overlay = Overlay(*size, words, legend, note, columns=columns, clock=clock)

@@ -53,11 +53,7 @@ _TILED_M: Final = 8.0  # reach of the tiles; the fog hides the rest
 _OVERLAP: Final = 0.05  # m
 _GROUND_M: Final = 22.0  # reach of the ground; the fog hides its edge
 _HAZE: Final = (0.93, 0.95, 0.97)
-
-
-def ghost_rgba(alpha: float = 0.36) -> Rgba:
-    """The demonstration's colour in the figures, translucent."""
-    return to_rgba(DEMONSTRATION.color, alpha)
+GHOST_RGBA: Final[Rgba] = to_rgba(DEMONSTRATION.color, 0.36)
 
 
 def leg_rgba(leg: int, alpha: float) -> Rgba:
@@ -107,7 +103,7 @@ def build_video_scene(
         main = _main_geoms(model, ghost_geoms)
         model.geom_group[ghost_geoms] = np.where(main[ghost_geoms], GHOST_GROUP, _HIDDEN_GROUP)
         model.geom_matid[ghost_geoms] = -1
-        model.geom_rgba[ghost_geoms] = ghost_rgba()
+        model.geom_rgba[ghost_geoms] = GHOST_RGBA
         model.geom_size[ghost_geoms] *= _GHOST_SHRINK
     follow = terrain is None and not quality.textured
     tiles = tuple(int(model.geom(name).id) for name in _TILES) if follow else ()

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.render.video_scene import ghost_rgba, leg_rgba
+from fastmimic.render.video_scene import GHOST_RGBA, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.viewer import take as marks
 from fastmimic.viewer.bodies import Puppet, ground_surface
@@ -39,7 +39,7 @@ _FORCE_RGB: Final = (178, 24, 43)
 _ASKED_RGB: Final = (20, 20, 20)
 _PYRAMID_RGB: Final = (120, 94, 240)
 _COM_RGB: Final = (210, 30, 140)
-_GHOST_RGB: Final = np.array([round(255 * c) for c in ghost_rgba()[:3]], dtype=np.uint8)
+_GHOST_RGB: Final = np.array([round(255 * c) for c in GHOST_RGBA[:3]], dtype=np.uint8)
 _ANIMAL_RGB: Final = (140, 84, 20)
 
 
@@ -112,7 +112,7 @@ class RobotScene:
             mesh, rgb = ground_surface(take.terrain), _TERRAIN_RGB
             server.scene.add_mesh_simple(f"{name}/terrain", mesh.vertices, mesh.faces, color=rgb, flat_shading=True)
         self._bodies = self._add_bodies(f"{name}/robot", puppet.bodies, None)
-        self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, ghost_rgba()[3])
+        self._ghost = self._add_bodies(f"{name}/ghost", puppet.ghost_bodies, GHOST_RGBA[3])
         self._contacts = {
             kind: self._add_marks(f"{name}/contacts/{kind}", mesh)
             for kind, mesh in marks.contact_meshes(2.0 * self._robot.foot_radius).items()

@@ -284,7 +284,7 @@ class Reader:
         """`own`: whether messages of this participant's own writers are received."""
         assert fixed_size(message)
         dds, size = cyclone(), ctypes.sizeof(message)
-        self._participant, self._depth = participant, depth
+        self._participant = participant
         self._memory = (message * depth)()
         self._infos = (SampleInfo * depth)()
         first = ctypes.addressof(self._memory)
