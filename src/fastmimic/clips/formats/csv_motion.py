@@ -81,7 +81,7 @@ def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) 
     """Reads q and dt of such an archive; the other arguments, and errors, as for `parse`."""
     try:
         with open_arrays(io.BytesIO(data)) as file:
-            q, steps = (np.asarray(file[name], dtype=float) for name in ("q", "dt"))
+            q, steps = (np.array(file[name], dtype=float) for name in ("q", "dt"))
     except UNREADABLE as error:
         raise ClipError(f"not a readable trajectory ({error})") from None
     if q.ndim != 2 or q.shape[1] != COLUMNS or steps.shape != q.shape[:1]:
@@ -97,9 +97,9 @@ def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) 
         )
     rate = 1.0 / float(steps[0]) if fps is None and steps[0] > 0 else fps or 0.0
     check_rate(rate)
-    legs = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]]
-    order = ["joints are in the order FL, FR, RL, RR, as Pinocchio has them"]
-    return _clip_of(np.hstack([q[:, :7], legs.reshape(-1, 12)]), rate, robot, order, lambda i: f"q, row {i}")
+    q[:, 7:] = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]].reshape(-1, 12)
+    order = "joints are in the order FL, FR, RL, RR, as Pinocchio has them"
+    return _clip_of(q, rate, robot, [order], lambda i: f"q, row {i}")
 
 
 def names_joints(header: list[str]) -> bool:
