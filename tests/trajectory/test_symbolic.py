@@ -123,13 +123,15 @@ def test_a_nodes_derivatives_are_those_of_its_rows_and_cost() -> None:
 
 
 def _least_distances(robot: Robot, x: np.ndarray) -> np.ndarray:
-    """Between points on the calves of two legs, (4,) m, by MuJoCo's kinematics."""
+    """Between points on the thighs and calves of two legs, (4,) m, by MuJoCo's kinematics."""
     model = robot.model()
     data = mujoco.MjData(model)
     data.qpos[[model.joint(name).qposadr[0] for name in robot.joint_names]] = x[6:]
     data.qpos[3] = 1.0
     mujoco.mj_kinematics(model, data)
-    knees = np.array([data.xanchor[model.joint(name).id] for name in robot.joint_names[2::3]])
+    hips, knees = (np.array([data.xanchor[model.joint(name).id] for name in robot.joint_names[k::3]]) for k in (1, 2))
     feet = np.array([data.geom(name).xpos for name in robot.foot_geoms])
-    points = knees[:, None] + np.array([0.25, 0.5, 0.75, 1.0])[:, None] * (feet - knees)[:, None]
+    thighs = hips[:, None] + np.array([0.5, 0.75, 1.0])[:, None] * (knees - hips)[:, None]
+    calves = knees[:, None] + np.array([0.25, 0.5, 0.75, 1.0])[:, None] * (feet - knees)[:, None]
+    points = np.concatenate([thighs, calves], axis=1)
     return np.array([np.linalg.norm(points[a][:, None] - points[b][None], axis=-1).min() for a, b in NEIGHBOURS])

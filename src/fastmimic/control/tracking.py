@@ -160,9 +160,7 @@ def _make_haste(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any, sta
     if share < 1.0:
         due = max(due, -np.log(max(share, 1e-9)) / rate)
     find_urgency(config, ref, gain, memory, scratch, x, y)
-    memory.haste = 0.0
-    if gain.landing < FAR_S:
-        memory.haste = min(max(gain.landing / due - 1.0, 0.0), config.most_haste)
+    memory.haste = min(max(gain.landing / due - 1.0, 0.0), config.most_haste) if gain.landing < FAR_S else 0.0
 
 
 @inlined

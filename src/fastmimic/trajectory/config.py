@@ -50,7 +50,7 @@ class TrajectoryConfig:
         0.004,
         unit="m",
         scale="length",
-        about="least gap between two legs' calves, were they as thick as feet",
+        about="least gap between two legs' thighs and calves, were they as thick as feet",
     )
     tilt_rad: float = parameter(1.2, unit="rad", above=0.0, high=1.5, about="greatest roll and pitch")
     keep_time: bool = parameter(False, about="the contact modes keep the animal's durations")

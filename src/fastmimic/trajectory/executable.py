@@ -211,7 +211,7 @@ def _worst(program: Program, solution: Solution) -> str:
     """The limit that is exceeded most, by how much and when."""
     low, high = program.bounds_of_rows()
     rows = program.rows(solution.variables)
-    excess = np.maximum(low - rows, rows - high)
+    excess = np.maximum(low - rows, rows - high)[: solution.tried + 1]
     node, row = np.unravel_index(int(np.argmax(excess)), excess.shape)
     name = next(name for name, part in ROWS.items() if part.start <= row < part.stop)
     amount = float(excess[node, row])

@@ -66,7 +66,7 @@ ROWS: Final = _slices(
 )
 """Constraint rows of a node, each about 1 at its limit: missing wrench; feet against their footholds, m × 10 (z above
 the ground); torque, and torque and speed together, share of the limits; speed; friction pyramid; heights of the knees
-and distances of calves, m × 10; accelerations of roll, pitch and yaw."""
+and distances of legs, m × 10; accelerations of roll, pitch and yaw."""
 
 N_VARIABLES: Final = VARIABLES["stride"].stop
 N_GIVEN: Final = GIVEN["weight"].stop

@@ -63,6 +63,7 @@ class Solution:
         stride: distance that a cycle covers, share of the animal's.
         holds: (H, 2) footholds.
         converged, status: whether the solver's tolerances were met, and IPOPT's words.
+        tried: the last node of those that were tried: a window without a solution is the last one.
         iterations: of the solver.
         violation: largest violation of a scaled constraint.
         use: of each limit its greatest use, share of the robot's own, and the share of the time at it (`LIMITS`).
@@ -78,6 +79,7 @@ class Solution:
     holds: Array
     converged: bool
     status: str
+    tried: int
     iterations: int
     violation: float
     use: dict[str, tuple[float, float]]
@@ -332,6 +334,7 @@ class Program:
             holds=w[at["holds"] : at["stride"]].reshape(-1, 2),
             converged=bool(found["converged"]),
             status=str(found["status"]),
+            tried=int(found.get("tried", n - 1)),
             iterations=int(found["iterations"]),
             violation=float(found["violation"]),
             use=dict(zip(LIMITS, map(tuple, found["use"].tolist()), strict=True)),

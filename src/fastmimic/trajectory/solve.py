@@ -33,22 +33,18 @@ def answered(problem: "Program", start: Array) -> dict[str, Array]:
             _LOG.info("%s: %.0f of %.0f s are executable", problem.motion.name, window.begins_s, windows[-1].ends_s)
         bounds, rows = window.held(problem, w)
         answers.append(_answer(problem, window.nodes, w, bounds, rows))
-        w[_used(problem, window.nodes)] = answers[-1]["variables"]
+        w[np.unique(problem.index[window.nodes])] = answers[-1]["variables"]
         if not answers[-1]["converged"]:
             break
     return {
         **answers[-1],
         "variables": w,
+        "tried": np.array(window.nodes[-1]),
         "use": _use(problem, w),
         "cost": np.sum([answer["cost"] for answer in answers]),
         "iterations": np.sum([answer["iterations"] for answer in answers]),
         "violation": np.max([answer["violation"] for answer in answers]),
     }
-
-
-def _used(problem: "Program", nodes: NDArray[np.int_]) -> NDArray[np.int_]:
-    """The variables (u,) of some nodes, in ascending order."""
-    return np.unique(problem.index[nodes])
 
 
 def _answer(
@@ -60,7 +56,7 @@ def _answer(
 ) -> dict[str, Array]:
     """The solver's answer for some nodes (k,), or what it answered to the same problem before. `start` and `bounds`
     are of all variables (n,), `rows` of all nodes (N, 93); the answer has the variables that the nodes use."""
-    used = _used(problem, nodes)
+    used = np.unique(problem.index[nodes])
     index = np.searchsorted(used, problem.index[nodes])
     first, low, high = start[used], bounds[0][used], bounds[1][used]
     within = rows[0][nodes], rows[1][nodes]

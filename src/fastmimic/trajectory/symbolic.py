@@ -27,7 +27,7 @@ class Instant(NamedTuple):
         feet: (12,) centres of the feet, world, m.
         knees: (4,) heights of the knees above the ground, m.
         feet_level: (12,) centres of the feet from the base's origin in the heading frame, m.
-        apart: (4,) least distances between the calves' middle lines of `NEIGHBOURS`, m, by a smooth minimum.
+        apart: (4,) least distances between the middle lines of `NEIGHBOURS`' thighs and calves, m, by a smooth minimum.
     """
 
     wrench: Expression
@@ -40,7 +40,8 @@ class Instant(NamedTuple):
 
 NEIGHBOURS: Final = ((0, 1), (2, 3), (0, 2), (1, 3))
 """Legs that can meet: those of a pair, and those of a side."""
-_ON_CALF: Final = (0.25, 0.5, 0.75, 1.0)  # from knee to foot: points whose distances count
+_ON_LEG: Final = ((1, 0.5), (1, 0.75), (1, 1.0), (2, 0.25), (2, 0.5), (2, 0.75), (2, 1.0))
+"""Points whose distances count: the link, thigh or calf, and the share of its length."""
 _SHARPNESS: Final = 200.0  # of the smooth minimum, 1/m: it is below the least distance by some millimetres
 
 
@@ -74,7 +75,7 @@ def instant(robot: Robot, q: Expression, v: Expression, a: Expression, force: Ex
     total = mass * _accelerated(base, alpha, omega, com)
     moment = inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(com, total)
     below = turn.T @ ca.DM([0, 0, robot.foot_radius])
-    torques, feet, knees, level, calves = [], [], [], [], []
+    torques, feet, knees, level, lines = [], [], [], [], []
     for leg in range(4):
         joint = slice(6 + 3 * leg, 9 + 3 * leg)
         origins = _leg_origins(robot, leg, q)
@@ -94,9 +95,9 @@ def instant(robot: Robot, q: Expression, v: Expression, a: Expression, force: Ex
         total, moment = total + carried_force, moment + carried_moment
         feet.append(q[:3] + turn @ origins[3])
         knees.append((q[:3] + turn @ origins[2])[2])
-        calves.append([origins[2] + s * (origins[3] - origins[2]) for s in _ON_CALF])
+        lines.append([origins[i] + share * (origins[i + 1] - origins[i]) for i, share in _ON_LEG])
         level.append(rotation(1, q[4]) @ rotation(0, q[3]) @ origins[3])
-    apart = [_least_distance(calves[a], calves[b]) for a, b in NEIGHBOURS]
+    apart = [_least_distance(lines[a], lines[b]) for a, b in NEIGHBOURS]
     return Instant(ca.vertcat(total, moment), *(ca.vertcat(*x) for x in (torques, feet, knees, level, apart)))
 
 
