@@ -138,6 +138,19 @@ def own_robot() -> ElementTree.Element:
     return tree
 
 
+def test_speed_limits_of_another_number_of_joints_are_refused(tmp_path: Path) -> None:
+    def with_limits(data: str) -> Path:
+        tree = own_robot()
+        limits = ElementTree.SubElement(tree, "custom")
+        ElementTree.SubElement(limits, "numeric", {"name": "joint_speed_limit", "data": data})
+        return write(tree, tmp_path / "mutt.xml")
+
+    np.testing.assert_array_equal(load_robot(with_limits("9")).joint_speed_limit, 9.0)
+    np.testing.assert_array_equal(load_robot(with_limits("1 2 3")).joint_speed_limit, [1.0, 2.0, 3.0] * 4)
+    with pytest.raises(RobotError, match=r"has 2 numbers; expected 1, 3 \(abduction, hip, knee\) or 12"):
+        load_robot(with_limits("1 2"))
+
+
 def test_somebody_elses_robot_works_whatever_its_names_order_and_lengths(tmp_path: Path) -> None:
     robot = load_robot(write(own_robot(), tmp_path / "mutt.xml"))
     assert robot.name == "mutt"

@@ -358,6 +358,8 @@ def _speed_limit(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, tuple
             data = np.array(model.numeric(i).data, dtype=np.float64)
             if data.size == len(joints):
                 return data[np.argsort(np.argsort(joints))], ()
-            return (np.full(12, data[0]) if data.size == 1 else np.tile(data[:3], 4)), ()
+            if data.size not in (1, 3):
+                raise RobotError(f"'{SPEED_LIMIT}' has {data.size} numbers; expected 1, 3 (abduction, hip, knee) or 12")
+            return np.tile(data, 12 // data.size), ()
     text = f"no custom numeric '{SPEED_LIMIT}' in the model: {DEFAULT_JOINT_SPEED_LIMIT:g} rad/s assumed"
     return np.full(12, DEFAULT_JOINT_SPEED_LIMIT), (text,)

@@ -98,8 +98,7 @@ def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) 
     rate = 1.0 / float(steps[0]) if fps is None and steps[0] > 0 else fps or 0.0
     check_rate(rate)
     q[:, 7:] = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]].reshape(-1, 12)
-    order = "joints are in the order FL, FR, RL, RR, as Pinocchio has them"
-    return _clip_of(q, rate, robot, [order], lambda i: f"q, row {i}")
+    return _clip_of(q, rate, robot, ["legs are in Pinocchio's order FL, FR, RL, RR"], lambda i: f"q, row {i}")
 
 
 def names_joints(header: list[str]) -> bool:
