@@ -198,6 +198,11 @@ def test_a_trajectory_in_arrays_is_that_of_the_table(tmp_path: Path, a1):
         (lambda q, dt: (np.where(q == q[3, 0], np.nan, q), dt), "not finite"),
         (lambda q, dt: (q, dt * np.linspace(1, 2, len(dt))), "even steps, or give the frame rate"),
         (lambda q, dt: (q, -dt), "rate"),
+        (lambda q, dt: (q, 0 * dt), "rate"),
+        (
+            lambda q, dt: (np.hstack([q[:, :7], np.degrees(q[:, 7:])]), dt),
+            r"q, row 0, FR_hip: .* joints are in radians",
+        ),
     ],
 )
 def test_damaged_trajectories_are_refused(tmp_path: Path, a1, change, problem):

@@ -8,7 +8,7 @@ object, which is not read."""
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -53,7 +53,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     if extra:
         assumed.append("columns that are not used: " + ", ".join(extra))
     motion = values[:, columns]
-    _check_radians(table, motion[:, 7:], [names[c] for c in columns[7:]])
+    _check_radians(motion[:, 7:], lambda i: f"line {table.rows[i].number}", [names[c] for c in columns[7:]])
     return _clip_of(motion, rate, robot, assumed, lambda i: f"line {table.rows[i].number} (frame {i})")
 
 
@@ -95,10 +95,11 @@ def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) 
         raise ClipError(
             f"dt goes from {steps.min():g} to {steps.max():g} s; expected even steps, or give the frame rate"
         )
-    rate = 1.0 / float(steps[0]) if fps is None and steps[0] > 0 else fps or 0.0
+    rate = fps if fps is not None else 1.0 / steps[0] if steps[0] > 0 else steps[0]
     check_rate(rate)
     q[:, 7:] = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]].reshape(-1, 12)
-    return _clip_of(q, rate, robot, ["legs are in Pinocchio's order FL, FR, RL, RR"], lambda i: f"q, row {i}")
+    _check_radians(q[:, 7:], lambda i: f"q, row {i}", JOINT_NAMES)
+    return _clip_of(q, float(rate), robot, ["legs are in Pinocchio's order FL, FR, RL, RR"], lambda i: f"q, row {i}")
 
 
 def names_joints(header: list[str]) -> bool:
@@ -185,13 +186,11 @@ def _check_upright(quat: Array) -> None:
         )
 
 
-def _check_radians(table: Table, joints: Array, names: list[str]) -> None:
+def _check_radians(joints: Array, where: Callable[[int], str], names: Sequence[str]) -> None:
     wrong = np.argwhere(np.abs(joints) > _MAX_ANGLE)
     if len(wrong):
         i, j = wrong[0]
-        raise ClipError(
-            f"line {table.rows[i].number}, {names[j]}: {joints[i, j]:g} is more than a turn; joints are in radians"
-        )
+        raise ClipError(f"{where(i)}, {names[j]}: {joints[i, j]:g} is more than a turn; joints are in radians")
 
 
 FORMAT: Final = Format(
