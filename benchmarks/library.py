@@ -283,7 +283,7 @@ def copied(count: int, library: Path, clips: Path) -> None:
         clip.write_text(f"{i}")
         source = DatasetSource(str(clip.resolve()))
         piece = replace(trot, name=source.name, source=source, digest=hashlib.sha256(str(i).encode()).hexdigest()[:16])
-        looked = asdict(Survey(source, (piece,), looked=look_of(source, 0.5, False)))
+        looked = asdict(Survey(source, (piece,), looked=look_of(source, 0.5, "cycles")))
         (library / "sources" / f"{source.key}.json").write_text(json.dumps(looked))
         job = Job(piece, "a1", digest, 0, recipe, library)
         (library / job.motion_file).write_text(f"{i}")

@@ -191,6 +191,10 @@ def test_segment_lists_the_cycles_of_all_parts_in_the_frames_of_the_file(
 
 
 def test_a_library_has_excerpts_of_all_parts_and_opens_them_again(split: Path) -> None:
+    whole = survey(DatasetSource(place=str(split)), confidence=0.2, cut="whole")
+    assert [piece.frames for piece in whole.pieces] == [
+        (first, first + part.n_frames) for first, part in open_parts(split)
+    ]
     found = survey(DatasetSource(place=str(split)), confidence=0.2)
     assert found.problem is None
     assert {piece.frames[0] >= 460 for piece in found.pieces if piece.frames} == {True, False}

@@ -462,7 +462,7 @@ def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
 
 def test_movement_that_does_not_repeat_is_asked_for(data_folder: Path, tmp_path: Path) -> None:
     take = find_sources(data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt")
-    cycles, all_of_it = survey(take[0], 0.5), survey(take[0], 0.5, discrete=True)
+    cycles, all_of_it = survey(take[0], 0.5), survey(take[0], 0.5, "segments")
     once = [piece for piece in all_of_it.pieces if not piece.repeats]
     assert set(cycles.pieces) < set(all_of_it.pieces)
     assert {piece.gait for piece in once} == {"discrete"}
@@ -473,6 +473,19 @@ def test_movement_that_does_not_repeat_is_asked_for(data_folder: Path, tmp_path:
     assert record["reason"] is None
     assert record["repeats"] is False
     assert Motion.load(tmp_path / record["motion_file"]).cycle is None
+
+
+def test_takes_are_run_whole_when_asked(data_folder: Path) -> None:
+    """Whether they repeat or not; of one with a gap each part, in the frames of the file."""
+    (take,) = find_sources(data_folder / "dog_keypoints" / "dog_walk00_joint_pos.txt")
+    (piece,) = survey(take, 0.5, "whole").pieces
+    assert (piece.name, piece.frames, piece.repeats) == ("dog_walk00_joint_pos", None, False)
+    (passage,) = survey(replace(take, frames=(101, 580)), 0.5, "whole").pieces
+    assert (passage.frames, passage.repeats) == ((101, 580), False)
+    (cycle,) = survey(replace(take, frames=(162, 201)), 0.5, "whole").pieces
+    assert (cycle.frames, cycle.repeats) == ((162, 201), True)
+    (gait,) = survey(DatasetSource("trot"), 0.5, "whole").pieces
+    assert gait.repeats
 
 
 def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -22,6 +22,7 @@ from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.build import BuildRequest, BuildStep
+    from fastmimic.dataset.excerpts import Cut
     from fastmimic.dataset.folder import MotionDataset, Row
 
 LibraryFolder = Annotated[Positional[Path], opt.option("LIBRARY", "Folder of the library.")]
@@ -66,6 +67,10 @@ class Build:
     """Least confidence at which a cycle found in a take is imitated."""
     discrete: opt.Flag = False
     """Also imitate non-periodic movements in takes, such as turns, starts and stops; each runs once."""
+    whole: opt.Flag = False
+    """Imitate takes as they are, from start to end, instead of the cycles in them."""
+    frames: Annotated[str | None, opt.option("A:B")] = None
+    """Imitate these frames of each source as they are."""
     warm_start: Annotated[Path | None, opt.option("LIBRARY")] = None
     """Start each search from the most similar motion of a finished library."""
     exclude: Annotated[tuple[str, ...], opt.option("PATTERN ...")] = ()
@@ -105,17 +110,24 @@ class Build:
     def _building(self) -> "BuildRequest":
         from fastmimic.dataset import BuildRequest, BuildSettings, MotionDataset, find_sources
 
+        if self.discrete and self.whole:
+            raise ConfigError(
+                "a take is run whole (--whole) or cut into its movements (--discrete): drop one of the two"
+            )
         if not self.sources:
             raise ConfigError("no sources given; name folders, lists, clips or motions")
         sources = []
         for place in self.sources:
             sources += find_sources(place, exclude=self.exclude, licence=self.licence, credit=self.credit)
+        if self.frames is not None:
+            sources = [replace(source, frames=opt.parse_frames(self.frames)) for source in sources]
         second = not self.no_second_simulator and _second_simulator(self.robots)
         lengths = {"duration_s": self.duration, "evaluation_s": self.trial}
         recipe = opt.apply(BuildSettings, self, self.search, second_simulator=second, **lengths)
         warm = None if self.warm_start is None else MotionDataset.open(self.warm_start)
         folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
-        return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, self.discrete, warm, folders)
+        cut: Cut = "whole" if self.whole else "segments" if self.discrete else "cycles"
+        return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, cut, warm, folders)
 
 
 @dataclass(frozen=True, kw_only=True)

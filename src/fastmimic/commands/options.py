@@ -178,10 +178,9 @@ class ClipOptions(ClipFileOptions):
         """The options that were given, as the Python functions take them."""
         if self.cycle and self.discrete:
             raise ConfigError("a clip either repeats (--cycle) or is run once (--discrete): drop one of the two")
-        takes = "--frames takes FIRST:END, 0-based, end exclusive, such as 162:201"
         found = super().overrides()
         if self.frames is not None:
-            found["frames"] = parse_pair(self.frames, r"(\d+)\s*:\s*(\d+)", takes)
+            found["frames"] = parse_frames(self.frames)
         cycle, once = found.pop("cycle"), found.pop("discrete")
         if cycle or once:
             found["cycle"] = cycle
@@ -369,6 +368,12 @@ def parse_pair(text: str, form: str, takes: str) -> tuple[int, int]:
     if found is None:
         raise ConfigError(f"{takes}; found '{text}'")
     return int(found[1]), int(found[2])
+
+
+def parse_frames(text: str) -> tuple[int, int]:
+    """The first frame and the end that `--frames` names."""
+    takes = "--frames takes FIRST:END, 0-based, end exclusive, such as 162:201"
+    return parse_pair(text, r"(\d+)\s*:\s*(\d+)", takes)
 
 
 def folder_name(*parts: str | int) -> str:

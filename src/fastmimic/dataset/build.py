@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.base.files import remove_file, write_text
-from fastmimic.dataset.excerpts import DatasetSource, Survey, look_of, survey, survey_file
+from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
 from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
@@ -38,7 +38,7 @@ class BuildRequest:
         robots: built-in names, or paths of MJCFs.
         seeds: searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1.
         confidence: least confidence of a cycle found in a take.
-        discrete: whether to imitate movement in takes that does not repeat, too.
+        cut: what to imitate of takes.
         warm: a library with the motions that searches begin from; None to begin from the unmodulated motion.
         folders: absolute paths of the sources' folders; excerpts of files no longer in them are forgotten.
     """
@@ -48,7 +48,7 @@ class BuildRequest:
     robots: Sequence[str]
     seeds: int = 1
     confidence: float = CONFIDENCE
-    discrete: bool = False
+    cut: Cut = "cycles"
     warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
 
@@ -182,7 +182,7 @@ class _Builder:
         found: dict[int, Survey] = {}
         for i, source in enumerate([] if again else sources):
             old = known.get(source)
-            if old and old.looked and old.looked == look_of(source, request.confidence, request.discrete):
+            if old and old.looked and old.looked == look_of(source, request.confidence, request.cut):
                 found[i] = old
 
         def tell(survey: Survey | None = None) -> None:
@@ -191,7 +191,7 @@ class _Builder:
 
         missing = [i for i in range(len(sources)) if i not in found]
         tell()
-        looking = partial(_survey, confidence=request.confidence, discrete=request.discrete)
+        looking = partial(_survey, confidence=request.confidence, cut=request.cut)
         with closing(self.executor.run(looking, [sources[i] for i in missing])) as outcomes:
             for outcome in outcomes:
                 if isinstance(outcome.error, OutputError):
@@ -291,5 +291,5 @@ def _place(robot: str) -> str:
     return str(path.resolve()) if path.is_file() else robot.lower()
 
 
-def _survey(source: DatasetSource, report: Report, *, confidence: float, discrete: bool) -> Survey:
-    return survey(source, confidence, discrete)
+def _survey(source: DatasetSource, report: Report, *, confidence: float, cut: Cut) -> Survey:
+    return survey(source, confidence, cut)

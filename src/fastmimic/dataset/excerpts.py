@@ -9,8 +9,9 @@ import re
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ from fastmimic.retargeting.retarget import is_one_cycle
 
 SOURCES: Final = "sources"
 _DESCRIBED: Final = ("name", "gait", "footfall", "confidence", "licence", "credit")
+Cut = Literal["cycles", "segments", "whole"]
+"""What is taken out of a take: its cycles, its movements that do not repeat as well, or all of it as one motion."""
 WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robot motion, or given frames
 NO_CLIPS: Final = ("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*")
 """Files of a folder that are never clips, with any suffix."""
@@ -247,19 +250,17 @@ class Survey:
         return said if said is None or said.startswith(self.source.place) else f"{self.source}: {said}"
 
 
-def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> Survey:
-    """Searches a source for excerpts, with the least confidence of cycles; with `discrete`, movement that does not
-    repeat counts, too. Errors become part of the result."""
+def survey(source: DatasetSource, confidence: float, cut: Cut = "cycles") -> Survey:
+    """Searches a source for excerpts, with the least confidence of cycles. Errors become part of the result."""
     try:
-        looked, opened = look_of(source, confidence, discrete), _open(source)
+        looked, opened = look_of(source, confidence, cut), _open(source)
         if isinstance(opened, Motion):
             found = Survey(source, (_of_motion(source, opened),))
         elif source.frames is not None:
-            segment = replace(as_one_cycle(opened), gait=WHOLE, confidence=1.0)
-            found = Survey(source, (_piece(source, opened, source.frames, segment, repeats=is_one_cycle(opened)),))
+            found = _whole(source, source.frames[0], opened)
         else:
-            parts = open_parts(source.place, **source.overrides)
-            surveys = [_of_take(source, first, take, confidence, discrete) for first, take in parts]
+            of_part = _whole if cut == "whole" else partial(_of_take, confidence=confidence, discrete=cut == "segments")
+            surveys = [of_part(source, first, take) for first, take in open_parts(source.place, **source.overrides)]
             pieces = tuple(piece for part in surveys for piece in part.pieces)
             found = Survey(source, pieces) if pieces else surveys[0]
         return replace(found, looked=looked)
@@ -267,7 +268,7 @@ def survey(source: DatasetSource, confidence: float, discrete: bool = False) -> 
         return Survey(source, failed=reason_of(error))
 
 
-def look_of(source: DatasetSource, confidence: float, discrete: bool) -> str | None:
+def look_of(source: DatasetSource, confidence: float, cut: Cut) -> str | None:
     """The inputs of a `survey`, with a file's size and time, in words; equal inputs need no new survey. Returns None
     for a motion's name, which has no file to compare."""
     files = [source.place, *([] if source.point_map is None else [source.point_map])]
@@ -276,7 +277,7 @@ def look_of(source: DatasetSource, confidence: float, discrete: bool) -> str | N
     except OSError:
         return None
     said = ", ".join(f"{state.st_size} bytes of {state.st_mtime_ns}" for state in states)
-    return f"{said}, confidence {confidence}, discrete {discrete}, fastmimic {__version__}"
+    return f"{said}, confidence {confidence}, {cut}, fastmimic {__version__}"
 
 
 def reason_of(error: Exception) -> str:
@@ -319,6 +320,13 @@ def _of_motion(source: DatasetSource, motion: Motion) -> Excerpt:
         licence=motion.provenance.licence or source.licence,
         credit=motion.provenance.credit or source.credit,
     )
+
+
+def _whole(source: DatasetSource, first: int, take: Clip) -> Survey:
+    """A take, or a part of one that begins at frame `first`, as it is from start to end."""
+    segment = replace(as_one_cycle(take), gait=WHOLE, confidence=1.0)
+    frames = (first, first + take.n_frames)
+    return Survey(source, (_piece(source, take, frames, segment, repeats=is_one_cycle(take)),))
 
 
 def _of_take(source: DatasetSource, first: int, take: Clip, confidence: float, discrete: bool) -> Survey:
