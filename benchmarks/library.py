@@ -40,6 +40,7 @@ from fastmimic.dataset.jobs import Job, perform, place_of
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.imitation.imitate import imitate
+from fastmimic.optimize.cma_es import MOST_ITERATIONS
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 
@@ -98,11 +99,9 @@ def cost() -> dict[str, Any]:
     long = timed(two, LONG)
     each = (long["cpu_s"] - short["two"]["cpu_s"]) / (LONG - SHORT)
     trials = short["two"]["cpu_s"] - SHORT * each
-    whole = trials + BuildSettings().iterations * each
+    whole = trials + MOST_ITERATIONS * each
     sizes = [figures["kb"]["checkpoint"] for figures in (short["two"], long)]
-    checkpoint = sizes[1] + (sizes[1] - sizes[0]) / (LONG - SHORT) * (
-        BuildSettings().iterations - LONG
-    )  # it grows with each
+    checkpoint = sizes[1] + (sizes[1] - sizes[0]) / (LONG - SHORT) * (MOST_ITERATIONS - LONG)  # it grows with each
     takes = _surveying()
     return {
         "iteration_cpu_s": each,

@@ -14,6 +14,9 @@ from fastmimic.clips.clip import KEYPOINTS, Clip
 from fastmimic.clips.formats import ReadOptions, read_clip
 from fastmimic.clips.segment import find_segments
 from fastmimic.clips.travel import with_travel
+from fastmimic.imitation.evaluate import evaluate
+from fastmimic.robot import load_robot
+from fastmimic.runs.loading import find_motion
 
 DOG = "dog_keypoints/dog_{}_joint_pos.txt"
 BELT = np.array([-1.2, 0.0, 0.0])  # m/s
@@ -130,6 +133,20 @@ def test_the_way_of_the_dog_is_found_again(take: str, cuts: list[tuple[int, int]
         assert speed(turned.cut(*cut)) == pytest.approx(true, rel=0.05)
     if take != "run00":  # whose paws turn on the ground as it gallops
         assert yaw_rate(turned) == pytest.approx(yaw_rate(clip), abs=2.0)
+
+
+@pytest.mark.parametrize("without_heading", [False, True])
+def test_the_robot_follows_the_recovered_way_as_it_does_the_recorded_one(without_heading: bool, data: Path) -> None:
+    take = open_clip(data / DOG.format("walk00"))
+    go2 = load_robot("go2")
+
+    def reward(clip: Clip) -> float:
+        result = evaluate(find_motion(clip.cut(162, 201)).load(go2), go2, duration_s=3.0, episodes=2)
+        assert result.as_dict()["fell"] == 0
+        return float(result.as_dict()["reward_animal"])
+
+    found = with_travel(on_the_spot(take, without_heading=without_heading))
+    assert reward(found) == pytest.approx(reward(take), abs=0.02)
 
 
 @pytest.mark.parametrize(("gait", "slowest", "fastest"), [("walk", 1.4, 1.8), ("trot", 2.7, 4.0)])

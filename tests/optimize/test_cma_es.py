@@ -119,6 +119,31 @@ class TestSearch:
         assert optimum.history.best[-1] > optimum.history.best[0]
         assert optimum.history.sigma[-1] < optimum.history.sigma[0]
 
+    def test_ends_when_the_best_scores_have_settled(self) -> None:
+        """With the bits of a search of as many iterations; a given number is run in any case."""
+        problem, told = Bowl(), list[Progress]()
+        free = replace(SETTINGS, iterations=None, population=10)
+        optimum = optimize(problem, free, progress=told.append)  # type: ignore[arg-type]
+        done = len(optimum.history.best)
+        assert 40 < done < cma_es.MOST_ITERATIONS
+        assert np.ptp(optimum.history.best[-20:]) < 5e-4 <= np.ptp(optimum.history.best[-21:-1])
+        assert told[-2].iterations == cma_es.MOST_ITERATIONS
+        assert told[-1].iterations == done, "says that it was the last"
+        assert told[-1].remaining_s == 0
+        counted = optimize(problem, replace(free, iterations=done))  # type: ignore[arg-type]
+        assert_same(optimum, counted)
+        longer = optimize(problem, replace(free, iterations=done + 5))  # type: ignore[arg-type]
+        assert len(longer.history.best) == done + 5
+
+    def test_a_search_that_ended_by_itself_is_resumed_as_it_is(self, tmp_path: Path) -> None:
+        problem, file = Bowl(), tmp_path / FILE_NAME
+        free = replace(SETTINGS, iterations=None, population=10)
+        first = optimize(problem, free, checkpoint=file)  # type: ignore[arg-type]
+        assert_same(first, optimize(problem, free, checkpoint=file, resume=True))  # type: ignore[arg-type]
+        longer = replace(free, iterations=len(first.history.best) + 3)
+        again = optimize(problem, longer, checkpoint=file, resume=True)  # type: ignore[arg-type]
+        assert_same(again, optimize(problem, longer))  # type: ignore[arg-type]
+
 
 class Bowl:
     """Stands in for an imitation problem: one sharp maximum, at no cost."""

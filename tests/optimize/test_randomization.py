@@ -307,6 +307,7 @@ class TestResume:
             "objective": {"duration_s": EPISODE_S, "clearance_floor": 0.87, "clearance_weight": 1.0},
             "parameters": [dataclasses.asdict(p) for p in plain.parameters],
             "start": plain.start.tolist(),
+            "steps": plain.steps,
         }
         digest.update(json.dumps(settings, sort_keys=True).encode())
         assert plain.identity == digest.hexdigest()

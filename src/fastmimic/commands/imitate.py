@@ -97,7 +97,7 @@ class Imitate(SearchRun):
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A name from 'fastmimic motions', a file, or the folder of a run."""
     duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of an episode."""
+    """Length of the episodes before and after, and at the most of the search's, which have four cycles."""
     warm_start: Annotated[Path | None, opt.option("FILE.npz")] = None
     """Start the search from the parameters of an optimised motion."""
     no_optimize: opt.Flag = False
@@ -168,11 +168,11 @@ class Stitch(SearchRun):
     the same name (use ./NAME)."""
     cycles: Annotated[tuple[int, ...], opt.option("N [N ...]")] = ()
     """Cycles of each motion: one number for all, or one for each. Default: about 3 s each."""
-    iterations: int = 200
-    """Generations of CMA-ES in the joint search."""
+    iterations: opt.Generations = None
+    """Generations of CMA-ES in the joint search. Default: until the best reward stays the same, at most 200."""
     population: Annotated[int | None, opt.option("N")] = None
     """Candidates in a generation. Default: the usual number of CMA-ES for the number of parameters."""
-    part_iterations: Annotated[int | None, opt.option("N")] = None
+    part_iterations: opt.Generations = None
     """Generations for each motion alone. Default: as many as in the joint search, or as it had before."""
 
     def run(self) -> int:

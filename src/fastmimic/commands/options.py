@@ -75,6 +75,7 @@ def joined(given: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
 
 
 Flag = Annotated[bool, option()]
+Generations = Annotated[int | None, option("N")]
 Several = UseAppendAction[tuple[tuple[str, ...], ...]]
 """Values of an option that may be given several times, with one or more values each."""
 Seconds = Annotated[float | None, option("S")]
@@ -200,8 +201,8 @@ class ClipOptions(ClipFileOptions):
 class SearchOptions:
     """The search of methods that optimise (CMA-ES)."""
 
-    iterations: int = 200
-    """Generations of CMA-ES."""
+    iterations: Generations = None
+    """Generations of CMA-ES. Default: until the best reward stays the same, at most 200."""
     population: int = 10
     """Candidates in a generation."""
 

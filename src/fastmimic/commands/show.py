@@ -68,9 +68,9 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
     folder.write(result.motion, config, result.metrics(), searched=result.history is not None)
 
 
-def put_result(result: "Imitation", folder: RunFolder, iterations: int, *, video: str | None) -> int:
+def put_result(result: "Imitation", folder: RunFolder, iterations: int | None, *, video: str | None) -> int:
     """Prints the figures before and after, and adds the video, of this quality or None for none, to the folder; returns
-    the exit status. `iterations` is the number that was asked for."""
+    the exit status. `iterations` is the number that was asked for, None for no number."""
     from fastmimic.report.figures import write_video
 
     metrics = result.metrics()
@@ -94,7 +94,7 @@ def put_result(result: "Imitation", folder: RunFolder, iterations: int, *, video
     if not result.interrupted:
         return 0
     note(
-        f"fastmimic: interrupted after {result.iterations} of {iterations} iterations;"
+        f"fastmimic: interrupted after {result.iterations} of {iterations or 'at most 200'} iterations;"
         f" the result is the best so far, and --out {folder.path} --resume continues"
     )
     return EXIT_INTERRUPTED

@@ -78,7 +78,7 @@ class BuildSettings(SearchSettings):
     method: str = "mbc-dmp"
     config: str = "default"
     duration_s: float = 5.0
-    iterations: int = 200
+    iterations: int | None = None
     population: int = 10
     evaluation_s: float = 10.0
     perturbed: int = 8

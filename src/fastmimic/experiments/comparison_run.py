@@ -32,7 +32,7 @@ from fastmimic.experiments.measurement import EVALUATION_S, PERTURBED_EPISODES, 
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.cma_es import Progress
+from fastmimic.optimize.cma_es import MOST_ITERATIONS, Progress
 from fastmimic.optimize.parameters import FinalChoice, SearchSettings
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot, load_robot
@@ -64,7 +64,7 @@ class ComparisonSettings(SearchSettings):
     robot: str = "a1"  # its name, or the path of its MJCF
     config: str = "default"
     duration_s: float = 5.0  # length of the optimisation's episodes, s
-    iterations: int = 200
+    iterations: int | None = None  # of the optimisation; None until it gains nothing more
     population: int = 10
     evaluation_s: float = EVALUATION_S  # length of the evaluation's episodes, s; at most a motion that does not repeat
     perturbed_episodes: int = PERTURBED_EPISODES  # number of evaluation episodes from perturbed starts
@@ -111,7 +111,11 @@ class RunTask:
     def searched_s(self) -> float:
         """The part of it in the search, s."""
         s = self.settings
-        return s.duration_s * s.population * s.iterations if method_named(self.run.method).optimises else 0.0
+        return (
+            s.duration_s * s.population * (s.iterations or MOST_ITERATIONS)
+            if method_named(self.run.method).optimises
+            else 0.0
+        )
 
 
 def slug(text: str) -> str:

@@ -256,7 +256,8 @@ def _caption(rows: Sequence[Row]) -> str:
         counts = sorted({len(s.rows) for s in summaries(optimised)})
         seeds = " to ".join(str(n) for n in dict.fromkeys((counts[0], counts[-1])))
         seeds += " seeds" if counts[-1] > 1 else " seed"
-        iterations = " or ".join(str(i) for i in sorted({row["iterations"] for row in optimised}))
+        tried = sorted(row["iterations"] for row in optimised)
+        iterations = " to ".join(str(n) for n in dict.fromkeys((tried[0], tried[-1])))
         lengths = {name: all_of(name) for name in ("population", "duration_s")}
         search = CAPTIONS["search"].format(seeds=seeds, iterations=iterations, **lengths)
     if any(row["method"] == RL for row in rows):

@@ -49,7 +49,7 @@ class StressSettings:
     duration_s: float = 6.0  # of an episode, s; at most a motion that does not repeat
     seed: int = 0  # of the starting phases, sensors and uneven ground
     config: str = "default"
-    iterations: int = 200
+    iterations: int | None = None
     population: int = 10
 
     def __post_init__(self) -> None:

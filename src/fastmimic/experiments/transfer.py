@@ -88,7 +88,7 @@ class TransferSettings:
     duration_s: float = 10.0  # of each, s; at most a motion that does not repeat
     seed: int = 0  # of the starts and the sensors
     config: str = "default"
-    iterations: int = 200
+    iterations: int | None = None
     population: int = 10
     identify: bool = False  # whether to run `IDENTIFIED` as well
 

@@ -144,7 +144,7 @@ def imitate(
     method: str = "mbc-dmp",
     config: ControllerConfig | str = "default",
     duration_s: float = 5.0,
-    iterations: int = 200,
+    iterations: int | None = None,
     population: int = 10,
     seed: int = 0,
     workers: int | None = None,
@@ -166,7 +166,9 @@ def imitate(
         robot: the robot, its name, or the path of its MJCF.
         method: one of `fastmimic.imitation.methods.METHODS`.
         config: the controller's parameters, or the name of a set.
-        duration_s: length of the episodes, s; a motion that does not repeat always runs whole.
+        duration_s: length of the episodes before and after, and at the most of the search's, s, which have four cycles;
+            a motion that does not repeat always runs whole.
+        iterations: of CMA-ES; None until its best scores stay the same, at most 200.
         workers: threads; None for one per core. The result does not depend on it.
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.

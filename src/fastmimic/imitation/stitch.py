@@ -58,7 +58,7 @@ def stitch(
     cycles: int | Sequence[int] | None = None,
     method: str = "mbc-dmp",
     config: ControllerConfig | str = "default",
-    iterations: int = 200,
+    iterations: int | None = None,
     population: int | None = None,
     part_iterations: int | None = None,
     seed: int = 0,

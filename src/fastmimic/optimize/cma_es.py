@@ -7,25 +7,29 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import check, parameter
-from fastmimic.base.errors import CheckpointError
+from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.episode.plan import nominal_start
 from fastmimic.optimize.checkpoint import Checkpoint
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
 from fastmimic.simulation.conditions import Disturbance
 
+MOST_ITERATIONS: Final = 200
+_SETTLED: Final = (20, 5e-4)  # iterations whose best scores differ by less: nothing more is to be gained
+
 
 @dataclass(frozen=True)
 class CmaSettings:
-    """Settings of the optimiser."""
+    """Settings of the optimiser. `iterations` are as many, or with None at the most 200: the search ends when its best
+    scores have settled, as by the criterion TolFun of Hansen 2023, "The CMA evolution strategy: a tutorial", B.3."""
 
-    iterations: int = parameter(200, low=1)
+    iterations: int | None = None
     population: int = parameter(10, low=4)
     seed: int = parameter(0)
     step_size: float = parameter(0.2, above=0.0, high=1.0)  # initial deviation, share of each parameter's range
@@ -33,6 +37,8 @@ class CmaSettings:
     checkpoint_every: int = 5  # iterations
 
     def __post_init__(self) -> None:
+        if self.iterations is not None and self.iterations < 1:
+            raise ConfigError(f"iterations must be at least 1, found {self.iterations}")
         check(self, "")
 
 
@@ -69,7 +75,7 @@ class Progress:
     """Argument of the callback after each iteration."""
 
     iteration: int
-    iterations: int
+    iterations: int  # in all, at the most
     best: float
     evaluations_per_s: float
     remaining_s: float
@@ -116,7 +122,7 @@ class _Search:
         self.robots = 1 if self.randomization is None else self.randomization.robots
         if self.randomization is not None:
             self.randomization.check(problem.steps / problem.config.rate_hz)
-        self.choice = settings.choice
+        self.choice, self.limit = settings.choice, settings.iterations or MOST_ITERATIONS
         self.validation_episodes = self.choice.episodes if self.randomization is None else self.choice.robots
         self.rescored = 0
         self.validated = self.validation_steps = self.recorded = 0
@@ -130,7 +136,7 @@ class _Search:
         baseline = float(given[0])
         interrupted = False
         try:
-            while len(self.scores) < self.settings.iterations:
+            while len(self.scores) < self.limit and not self._settled():
                 u = np.array(self.strategy.ask())
                 self._tell(u, self._evaluate(self._physical(u), len(self.scores)))
                 elapsed = time.perf_counter() - began
@@ -142,9 +148,10 @@ class _Search:
                     best = float(self.scores[-1].max())
                     if self.randomization is None:
                         best = max(float(given.max()), *(float(s.max()) for s in self.scores))
-                    remaining = each * (self.settings.iterations - done)
+                    last = done if self._settled() else self.limit
+                    remaining = each * (last - done)
                     rate = self.settings.population * self.robots / each
-                    progress(Progress(done, self.settings.iterations, best, rate, remaining))
+                    progress(Progress(done, last, best, rate, remaining))
         except KeyboardInterrupt:
             interrupted = True
             whole = len(self.sigma)  # an interrupt may come while an iteration is being recorded
@@ -176,6 +183,13 @@ class _Search:
             interrupted=interrupted or hurried,
         )
 
+    def _settled(self) -> bool:
+        """Whether the search ends by itself; one over several robots, which differ in each iteration, does not."""
+        count, least = _SETTLED
+        best = [float(scores.max()) for scores in self.scores[-count:]]
+        free = self.settings.iterations is None and self.randomization is None
+        return free and len(best) == count and max(best) - min(best) < least
+
     def _evaluate(self, x: Array, iteration: int) -> Array:
         if self.randomization is None:
             return self.problem.evaluate(x)
@@ -198,7 +212,7 @@ class _Search:
         saved = Checkpoint.load(self.checkpoint, self.identity)
         self.recorded = len(saved.scores)
         for u, scores in zip(saved.candidates, saved.scores, strict=True):
-            if len(self.scores) == self.settings.iterations:
+            if len(self.scores) == self.limit:
                 break
             if not np.array_equal(np.array(self.strategy.ask()), u):
                 raise CheckpointError(

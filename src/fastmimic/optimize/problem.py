@@ -38,7 +38,9 @@ from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, repeated
 from fastmimic.simulation.conditions import part as part_of
 
-_CYCLES: Final = 1.5  # cycles in an episode, if the requested length does not hold one cycle
+_CYCLES: Final = 4  # in an episode of the search, if it is to be that long
+_LEAST_S: Final = 1.5
+_LEAST_CYCLES: Final = 1.5  # if the requested length does not hold one cycle
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class Objective:
     penalised below `clearance_floor`, a share of the demonstration's clearance: above the share that a result must
     reach, because the realised clearance varies from step to step."""
 
-    duration_s: float = 5.0  # of the episode; at least one and a half cycles, and the whole of a motion without cycle
+    duration_s: float = 5.0  # of an episode at the most; with one robot four cycles do, and 1.5 s
     clearance_floor: float = 0.87
     clearance_weight: float = 1.0  # penalty per foot and per unit of the missing share
     randomization: Randomization | None = None  # the robots that score a candidate; None for the nominal robot
@@ -135,6 +137,7 @@ class Problem(ABC):
             "objective": self.objective.as_dict(),
             "parameters": [asdict(p) for p in self.parameters],
             "start": self.start.tolist(),
+            "steps": self.steps,
         }
         if len(REWARD_TERMS) > N_TERMS:
             settings["reward"] = {term.name: term.weight for term in REWARD_TERMS.values()}
@@ -209,9 +212,12 @@ class ImitationProblem(Problem):
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         self.start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
-        self.steps = episode_steps(self.objective.duration_s, self.config.rate_hz)
+        seconds = self.objective.duration_s
+        if self._repeats and self.randomization is None:
+            seconds = min(seconds, max(_LEAST_S, _CYCLES * demonstration.period_s))
+        self.steps = episode_steps(seconds, self.config.rate_hz)
         if self._repeats and self.steps < demonstration.n_samples:  # each parameter must act within an episode
-            self.steps = math.ceil(_CYCLES * demonstration.n_samples)
+            self.steps = math.ceil(_LEAST_CYCLES * demonstration.n_samples)
         self._clearance = swing_clearance(demonstration, robot.foot_radius)
         self._base = reference_table(dmp.motion(), robot)
         names = [parameter.name.split(".") for parameter in self.parameters]
