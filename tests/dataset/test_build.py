@@ -549,7 +549,7 @@ def test_lists(tmp_path: Path) -> None:
     ("name", "text", "said"),
     [
         ("x.csv", "source,fames\na,1:2\n", "unknown column 'fames'"),
-        ("x.csv", "source,frames\na,1-2\n", "line 2: frames are FIRST:END"),
+        ("x.csv", "source,frames\na,1-2\n", "line 2: frames takes FIRST:END"),
         ("x.csv", "source,fps\na,fast\n", "line 2"),
         ("x.list", "# nothing\n", "the list is empty"),
         ("none.csv", None, "no such list"),

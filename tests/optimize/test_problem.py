@@ -274,12 +274,12 @@ def test_an_episode_holds_a_long_cycle_whole(make_problem: Callable[..., Imitati
     assert problem.steps == 1.5 * problem.demonstration.n_samples
 
 
-def test_an_episode_has_four_cycles_and_is_at_most_as_long_as_asked_for(
+def test_an_episode_has_three_cycles_and_is_at_most_as_long_as_asked_for(
     make_problem: Callable[..., ImitationProblem],
 ) -> None:
     problem = make_problem(duration_s=5.0)
     assert problem.demonstration.n_samples == 200
-    assert problem.steps == 4 * 200
+    assert problem.steps == 3 * 200
     assert make_problem(duration_s=1.0).steps == 500
     over = make_problem(duration_s=5.0, randomization=Randomization())
     assert over.steps == 2500, "pushes and other robots' falls take their time"

@@ -12,6 +12,7 @@ in its room's `parameters.json` (`tabulated`).
 
 import dataclasses
 import math
+import re
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -87,6 +88,14 @@ def parameter(default: Any, *, above: float | None = None, low: float | None = 0
     return dataclasses.field(
         default=default, metadata={_KEY: ParameterInfo(low=low if above is None else None, above=above, **known)}
     )
+
+
+def parse_pair(text: str, form: str, takes: str) -> tuple[int, int]:
+    """The two whole numbers of a text in this form; raises `ConfigError`, beginning with what is taken."""
+    found = re.fullmatch(form, text.strip())
+    if found is None:
+        raise ConfigError(f"{takes}; found '{text}'")
+    return int(found[1]), int(found[2])
 
 
 def parameters(kind: Any) -> dict[str, tuple[ParameterInfo, Any]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ClipError, did_you_mean, naming
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, RECORDED, data_folder, dataset_of, find_file
@@ -32,6 +33,12 @@ class MotionRow:
 def motion_names() -> tuple[str, ...]:
     """All names that `open_clip` knows."""
     return (*GAITS, *JUMPS, *RECORDED)
+
+
+def parse_frames(text: str, where: str) -> tuple[int, int]:
+    """First frame and end, as `where` writes them; raises `ConfigError`."""
+    takes = f"{where} takes FIRST:END, 0-based, end exclusive, such as 162:201"
+    return parse_pair(text, r"(\d+)\s*:\s*(\d+)", takes)
 
 
 def describe(folder: str | Path | None = None) -> list[MotionRow]:

@@ -97,7 +97,7 @@ class Imitate(SearchRun):
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A name from 'fastmimic motions', a file, or the folder of a run."""
     duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the episodes before and after, and at the most of the search's, which have four cycles."""
+    """Length of the episodes before and after, and at the most of the search's, which have three cycles."""
     warm_start: Annotated[Path | None, opt.option("FILE.npz")] = None
     """Start the search from the parameters of an optimised motion."""
     no_optimize: opt.Flag = False

@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, subco
 
 from fastmimic.base.errors import ConfigError, FastMimicError, unknown
 from fastmimic.base.files import check_folder
+from fastmimic.clips.catalogue import parse_frames
 from fastmimic.commands import console
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_SOME_FAILED, note, put, put_json, put_table
@@ -120,7 +121,7 @@ class Build:
         for place in self.sources:
             sources += find_sources(place, exclude=self.exclude, licence=self.licence, credit=self.credit)
         if self.frames is not None:
-            sources = [replace(source, frames=opt.parse_frames(self.frames)) for source in sources]
+            sources = [replace(source, frames=parse_frames(self.frames, "--frames")) for source in sources]
         second = not self.no_second_simulator and _second_simulator(self.robots)
         lengths = {"duration_s": self.duration, "evaluation_s": self.trial}
         recipe = opt.apply(BuildSettings, self, self.search, second_simulator=second, **lengths)

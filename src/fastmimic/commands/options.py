@@ -15,6 +15,7 @@ from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder
 from fastmimic.base.text import plain
+from fastmimic.clips.catalogue import parse_frames
 from fastmimic.commands.console import count_progress, note
 from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
@@ -181,7 +182,7 @@ class ClipOptions(ClipFileOptions):
             raise ConfigError("a clip either repeats (--cycle) or is run once (--discrete): drop one of the two")
         found = super().overrides()
         if self.frames is not None:
-            found["frames"] = parse_frames(self.frames)
+            found["frames"] = parse_frames(self.frames, "--frames")
         cycle, once = found.pop("cycle"), found.pop("discrete")
         if cycle or once:
             found["cycle"] = cycle
@@ -361,20 +362,6 @@ def check_kinematic(command: Any, *names: str) -> None:
     """Raises `ConfigError` for options of these names beside `--kinematic`: they are the controller's."""
     if command.kinematic and (found := given(command, *names)):
         raise ConfigError(f"{', '.join(found)} cannot be applied with --kinematic: there is no controller")
-
-
-def parse_pair(text: str, form: str, takes: str) -> tuple[int, int]:
-    """The two whole numbers of an option's text in this form; raises `ConfigError` with what the option takes."""
-    found = re.fullmatch(form, text.strip())
-    if found is None:
-        raise ConfigError(f"{takes}; found '{text}'")
-    return int(found[1]), int(found[2])
-
-
-def parse_frames(text: str) -> tuple[int, int]:
-    """The first frame and the end that `--frames` names."""
-    takes = "--frames takes FIRST:END, 0-based, end exclusive, such as 162:201"
-    return parse_pair(text, r"(\d+)\s*:\s*(\d+)", takes)
 
 
 def folder_name(*parts: str | int) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from tyro.conf import Positional
 
+from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ConfigError, MotionError, OutputError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import count_progress, note, put, slow_start
@@ -75,7 +76,7 @@ class Render:
     def run(self) -> int:
         self._check()
         takes = "--size takes WIDTHxHEIGHT in pixels, such as 1280x720"
-        size = None if self.size is None else opt.parse_pair(self.size, r"(\d{2,4})[x×](\d{2,4})", takes)
+        size = None if self.size is None else parse_pair(self.size, r"(\d{2,4})[x×](\d{2,4})", takes)
         from fastmimic.render.video import render_video
 
         out = opt.check_writable(self.out, *ENDINGS)

@@ -5,7 +5,6 @@ import fnmatch
 import io
 import json
 import os
-import re
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -18,8 +17,8 @@ from numpy.typing import NDArray
 
 from fastmimic import __version__
 from fastmimic.base.arrays import fingerprint
-from fastmimic.base.errors import ClipError, FastMimicError, LibraryError
-from fastmimic.clips.catalogue import check_name, open_clip, open_parts
+from fastmimic.base.errors import ClipError, ConfigError, FastMimicError, LibraryError
+from fastmimic.clips.catalogue import check_name, open_clip, open_parts, parse_frames
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import detect_format, suffixes
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, as_one_cycle, find_segments
@@ -179,21 +178,18 @@ def _of_row(
         raise LibraryError(f"{path}, line {number}: no source")
     place = given.pop("source")
     beside = path.parent / place
-    kinds: dict[str, Callable[[str], Any]] = {"frames": _frames, "fps": float, "scale": float}
+    kinds: dict[str, Callable[[str], Any]] = {
+        "frames": partial(parse_frames, where="frames"),
+        "fps": float,
+        "scale": float,
+    }
     kinds["point_map"] = lambda text: str((path.parent / text).resolve())
     try:
         values = {name: kinds.get(name, str)(text) for name, text in given.items()}
         known = {"licence": licence, "credit": credit} | values
         return DatasetSource(str(beside.resolve()) if os.path.exists(beside) else place, **known)
-    except ValueError as error:
+    except (ValueError, ConfigError) as error:
         raise LibraryError(f"{path}, line {number}: {error}") from None
-
-
-def _frames(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d+)\s*:\s*(\d+)", text)
-    if found is None:
-        raise ValueError(f"frames are FIRST:END, such as 162:201, found '{text}'")
-    return int(found[1]), int(found[2])
 
 
 @dataclass(frozen=True, kw_only=True)

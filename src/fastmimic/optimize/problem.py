@@ -38,8 +38,8 @@ from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, repeated
 from fastmimic.simulation.conditions import part as part_of
 
-_CYCLES: Final = 4  # in an episode of the search, if it is to be that long
-_LEAST_S: Final = 1.5
+_CYCLES: Final = 3  # in an episode of the search, if it is to be that long
+_LEAST_S: Final = 1.2
 _LEAST_CYCLES: Final = 1.5  # if the requested length does not hold one cycle
 
 
@@ -49,7 +49,7 @@ class Objective:
     penalised below `clearance_floor`, a share of the demonstration's clearance: above the share that a result must
     reach, because the realised clearance varies from step to step."""
 
-    duration_s: float = 5.0  # of an episode at the most; with one robot four cycles do, and 1.5 s
+    duration_s: float = 5.0  # of an episode at the most; with one robot three cycles do, and 1.2 s
     clearance_floor: float = 0.87
     clearance_weight: float = 1.0  # penalty per foot and per unit of the missing share
     randomization: Randomization | None = None  # the robots that score a candidate; None for the nominal robot
