@@ -178,11 +178,8 @@ def _of_row(
         raise LibraryError(f"{path}, line {number}: no source")
     place = given.pop("source")
     beside = path.parent / place
-    kinds: dict[str, Callable[[str], Any]] = {
-        "frames": partial(parse_frames, where="frames"),
-        "fps": float,
-        "scale": float,
-    }
+    kinds: dict[str, Callable[[str], Any]] = {"fps": float, "scale": float}
+    kinds["frames"] = partial(parse_frames, where="frames")
     kinds["point_map"] = lambda text: str((path.parent / text).resolve())
     try:
         values = {name: kinds.get(name, str)(text) for name, text in given.items()}

@@ -166,8 +166,8 @@ def imitate(
         robot: the robot, its name, or the path of its MJCF.
         method: one of `fastmimic.imitation.methods.METHODS`.
         config: the controller's parameters, or the name of a set.
-        duration_s: length of the episodes before and after, and at the most of the search's, s, which have three cycles;
-            a motion that does not repeat always runs whole.
+        duration_s: length of the episodes before and after, and at the most of the search's three cycles, s; a motion
+            that does not repeat always runs whole.
         iterations: of CMA-ES; None until its best scores stay the same, at most 200.
         workers: threads; None for one per core. The result does not depend on it.
         n_basis: basis functions of each DMP.
