@@ -1,8 +1,8 @@
 """What a motion asks of a robot, and why the robot fell, by one rule for every motion.
 
-`demands` looks at the demonstration alone: inverse dynamics of the whole robot, with the ground reaction forces nearest
-to the demand within the friction of the ground. `describe_fall` looks at an episode's log up to its fall. `reasons`
-compares both with the robot's limits.
+`demands` looks at the demonstration alone: inverse dynamics of the whole robot, with the ground reaction forces that
+give it within the friction of the ground at the least joint torques. `describe_fall` looks at an episode's log up to
+its fall. `reasons` compares both with the robot's limits.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
 from fastmimic.episode.rollout import Rollout
-from fastmimic.motion.ground import ground_demand, push_directions
+from fastmimic.motion.ground import GroundDemand, ground_demand, push_directions
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
@@ -32,7 +32,8 @@ from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
 
 SAMPLE_S: Final = 0.004  # time between the examined instants of a motion
 BEFORE_S: Final = 0.3  # examined time before a fall
-SMOOTHING: Final = 1e-3  # weight of the squared ground forces (weights) against the squared residual acceleration (g)
+TORQUE_WEIGHT: Final = 1e-3  # of squared joint torques (limits) against the squared residual acceleration (g)
+FORCE_WEIGHT: Final = 1e-6  # of the squared ground forces (weights)
 HIGH: Final = 95  # percentile that stands for a greatest value; the very greatest belongs to single samples
 
 MAX_LIMITED: Final = 0.2  # share of the time with a joint at its limit; more than tracked motions ask, as is the next
@@ -100,19 +101,14 @@ class Reason:
 def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> LimitUse:
     """What a motion uses of each limit at its samples (k,), whether or not the robot can."""
     demand = ground_demand(robot, motion, sample)
-    force, lacking = _ground_forces(robot, demand.wrench, *push_directions(demand, GROUND_FRICTION))
-    quat = motion.root_quat_wxyz[sample]
-    tilt = quat_multiply(quat_from_yaw(-yaw_from_quat(quat)), quat)
-    force_b = quat_rotate_inverse(tilt[:, None], force)
-    jacobian = foot_jacobians(robot, motion.joint_pos[sample])
-    torque = demand.joint_torque - np.einsum("tlij,tli->tlj", jacobian, force_b).reshape(-1, 12)
-    driving = torque / robot.torque_limit * np.sign(motion.joint_vel[sample])
+    torque, lacking = _joint_torques(robot, motion, demand)
+    driving = torque * np.sign(motion.joint_vel[sample])
     speed = np.abs(motion.joint_vel[sample]) / robot.joint_speed_limit
     total = demand.wrench[:, :3]
     ratio = np.linalg.norm(total[:, :2], axis=1) / np.maximum(total[:, 2], 0.1 * robot.mass * GRAVITY)
     return LimitUse(
         joint_speed=speed.max(axis=1),
-        torque=(np.abs(torque) / robot.torque_limit).max(axis=1),
+        torque=np.abs(torque).max(axis=1),
         torque_at_speed=0.5 * (driving + 2 * speed).max(axis=1),
         friction=np.where(demand.stands.any(axis=1), ratio, np.nan),
         lacking=lacking,
@@ -190,22 +186,31 @@ def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
     return found if fall is None or len(found) == 1 else found[:-1]
 
 
-def _ground_forces(robot: Robot, wanted: Array, force: Array, wrench: Array, can: NDArray[np.bool_]) -> Any:
-    """Foot forces (k, 4, 3), heading frame, nearest to the wanted wrench (k, 6), and the lacking acceleration (k, 6),
-    m/s² and rad/s²."""
+def _joint_torques(robot: Robot, motion: Motion, demand: GroundDemand) -> tuple[Array, Array]:
+    """Joint torques (k, 12), shares of their limits, and the acceleration (k, 6), m/s² and rad/s², that the feet cannot
+    give: of the ground forces nearest to the demand those with the least torques."""
     from scipy.optimize import nnls
 
     weight = robot.mass * GRAVITY
     scale = np.concatenate([np.full(3, 1.0 / weight), 1.0 / (GRAVITY * robot.inertia_b.diagonal())])
-    k = len(wanted)
-    forces, lacking = np.zeros((k, 4, 3)), np.zeros((k, 6))
-    small, zero = np.sqrt(SMOOTHING) * np.eye(16), np.zeros(16)
-    for i in range(k):
-        push = (weight * wrench[i] * can[i][:, None] * scale).T
-        x = nnls(np.concatenate([push, small]), np.concatenate([wanted[i] * scale, zero]))[0] * can[i]
-        forces[i] = weight * (x[:, None] * force[i]).reshape(4, 4, 3).sum(axis=1)
-        lacking[i] = GRAVITY * (wanted[i] * scale - push @ x)
-    return forces, lacking
+    force, wrench, can = push_directions(demand, GROUND_FRICTION)
+    push = weight * scale[:, None] * np.swapaxes(wrench * can[..., None], 1, 2)
+    quat = motion.root_quat_wxyz[demand.sample]
+    tilt = quat_multiply(quat_from_yaw(-yaw_from_quat(quat)), quat)
+    force_b = quat_rotate_inverse(tilt[:, None], force).reshape(-1, 4, 4, 3)
+    jacobian = foot_jacobians(robot, motion.joint_pos[demand.sample])
+    moved = np.zeros((len(force), 4, 3, 4, 4))  # torque of each leg's joints by its own foot's pushes
+    moved[:, range(4), :, range(4)] = np.einsum("tlij,tlei->ltje", jacobian, force_b)
+    moved = moved.reshape(-1, 12, 16) * can[:, None] * (weight / robot.torque_limit)[:, None]
+    torque, wanted = demand.joint_torque / robot.torque_limit, demand.wrench * scale
+    lacking, small, zero = np.zeros_like(wanted), np.sqrt(FORCE_WEIGHT) * np.eye(16), np.zeros(16)
+    share = np.sqrt(TORQUE_WEIGHT)
+    for i in range(len(wanted)):
+        rows = np.concatenate([push[i], share * moved[i], small])
+        x = nnls(rows, np.concatenate([wanted[i], share * torque[i], zero]))[0] * can[i]
+        torque[i] -= moved[i] @ x
+        lacking[i] = GRAVITY * (wanted[i] - push[i] @ x)
+    return torque, lacking
 
 
 def _slide(robot: Robot, motion: Motion) -> float:

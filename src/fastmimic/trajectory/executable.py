@@ -16,7 +16,6 @@ from fastmimic.base.rotations import (
     rotate_planar,
     trunk_quaternion,
 )
-from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
@@ -33,6 +32,7 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
 )
 """Margins that a problem without a solution gives up, in this order."""
 _CHECKED_S: Final = 20.0
+_MOMENT_S: Final = 1e-4  # for rates of joint angles
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
     {"least_force": 0.08},
     {"capture_weight": 1000.0, "acceleration_weight": 3e-3, "capture_m": 0.06},
@@ -198,7 +198,6 @@ _LIMITS = {
     "feet": "footholds and swing heights",
     "torque": "joint torque",
     "driving": "joint torque at speed",
-    "braking": "joint torque at speed",
     "speed": "joint speed",
     "friction": "friction",
     "knees": "height of the knees",
@@ -228,17 +227,14 @@ def sampled(program: Program, solution: Solution) -> Motion:
     stretch = last / animal.rate_hz / solution.time[-1]
     wide = _Path(program, solution)
     root, rates = wide.root(time)
-    quat = trunk_quaternion(root[:, 5], root[:, 3:5])
-    feet = wide.feet(time)
-    foot_b = quat_rotate_inverse(quat[:, None], feet - root[:, None, :3])
-    joints = np.unwrap(inverse_kinematics(robot, foot_b)[0], axis=0)
+    before, joints, after = (wide.joints(time + moment) for moment in (-_MOMENT_S, 0.0, _MOMENT_S))
     contact = modes.contact[np.searchsorted(np.cumsum(solution.durations)[:-1], time + 1e-9, side="right")]
     motion = Motion(
         rate_hz=animal.rate_hz,
         root_pos_w=root[:, :3],
-        root_quat_wxyz=quat,
+        root_quat_wxyz=trunk_quaternion(root[:, 5], root[:, 3:5]),
         joint_pos=joints,
-        joint_vel=differentiate(pad(joints, modes.periodic), animal.dt),
+        joint_vel=(after - before) / (2 * _MOMENT_S * stretch),
         foot_pos_b=foot_positions(robot, joints),
         contact=contact,
         root_lin_vel_w=rates[:, :3] / stretch,
@@ -300,6 +296,8 @@ class _Path:
     """
 
     def __init__(self, program: Program, solution: Solution) -> None:
+        from scipy.interpolate import PchipInterpolator
+
         modes, q, time = program.modes, solution.coordinates, solution.time
         if modes.periodic:
             step, turn = solution.stride * program.displacement[0], program.displacement[1]
@@ -308,17 +306,24 @@ class _Path:
             after[:, :2], after[:, 5] = rotate_planar(turn, q[:, :2]) + step, q[:, 5] + turn
             time, period = time[:-1], time[-1]
             q, time = np.concatenate([before, q, after]), np.concatenate([time - period, time, time + period])
-        turned = trunk_quaternion(q[:, 5], q[:, 3:5])
+        self.robot, turned = program.robot, trunk_quaternion(q[:, 5], q[:, 3:5])
         feet = q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, q[:, 6:]))
-        self._root, self._feet = _smooth(time, q[:, :6]), _smooth(time, feet)
+        self._root, self._feet, self._joints = (_smooth(time, values) for values in (q[:, :6], feet, q[:, 6:]))
+        swings = np.tile(~modes.stands, (len(time) // modes.n_nodes + 1, 1))[: len(time)]
+        self._swings = PchipInterpolator(time, np.repeat(swings, 3, axis=1).astype(float))
 
     def root(self, time: Array) -> tuple[Array, Array]:
         """Position, roll, pitch, yaw (t, 6) and their rates."""
         return self._root(time), self._root(time, 1)
 
-    def feet(self, time: Array) -> Array:
-        """Centres of the feet (t, 4, 3), world, m."""
-        return np.asarray(self._feet(time))
+    def joints(self, time: Array) -> Array:
+        """Joint angles (t, 12): a standing leg's by its foot's path, a swinging one's by their own; between two nodes
+        from the one to the other."""
+        root = self._root(time)
+        quat = trunk_quaternion(root[:, 5], root[:, 3:5])
+        foot_b = quat_rotate_inverse(quat[:, None], self._feet(time) - root[:, None, :3])
+        standing = np.unwrap(inverse_kinematics(self.robot, foot_b)[0], axis=0)
+        return np.asarray(standing + self._swings(time) * (self._joints(time) - standing))
 
 
 def _smooth(time: Array, values: Array) -> Any:

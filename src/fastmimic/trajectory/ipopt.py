@@ -101,6 +101,7 @@ def make_solver(
     options = {
         **computed,
         "print_time": False,
+        "show_eval_warnings": False,
         "ipopt.sb": "yes",
         "ipopt.print_level": 0,
         "ipopt.max_iter": config.iterations,
@@ -108,6 +109,7 @@ def make_solver(
         # what is left to gain then is 4 % of the cost of a passage, in as many iterations again
         "ipopt.acceptable_tol": 30 * config.tolerance,
         "ipopt.acceptable_iter": 2,
+        "ipopt.acceptable_constr_viol_tol": 5e-5,
         "ipopt.mumps_pivot_order": 0,  # minimum degree: half of the time of METIS here
         "ipopt.constr_viol_tol": 1e-5,
         "ipopt.dual_inf_tol": 10.0,

@@ -55,8 +55,7 @@ ROWS: Final = _slices(
         "dynamics": 6,
         "feet": 12,
         "torque": 12,
-        "driving": 12,
-        "braking": 12,
+        "driving": 24,
         "speed": 12,
         "friction": 16,
         "knees": 4,
@@ -143,7 +142,7 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
         rolled = robot.foot_radius * (rotation(2, here[5])[:2, :2] @ turned)
         feet += [foot[:2] - rolled - hold, foot[2] - robot.foot_radius]
     torque = now.torque / ca.DM(config.torque_share * robot.torque_limit)
-    fast = velocity[6:] / ca.DM(robot.joint_speed_limit)
+    before_and_after = [rate[6:] / ca.DM(robot.joint_speed_limit) for rate in (arriving, leaving)]
     pyramid = []
     for leg in range(4):
         x, y, up = (force[3 * leg + j] for j in range(3))
@@ -153,9 +152,8 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
         now.wrench * scale,
         METRES * ca.vertcat(*feet),
         torque,
-        torque + 2 * fast,
-        torque - 2 * fast,
-        leaving[6:] / ca.DM(robot.joint_speed_limit),
+        *(torque + 2 * fast for fast in before_and_after),
+        before_and_after[1],
         *pyramid,
         METRES * now.knees,
         METRES * now.apart,
@@ -181,10 +179,11 @@ def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expre
     foot_before, foot_here, foot_after = paths
     foot_acceleration = 2 * ((foot_after - foot_here) / dt - (foot_here - foot_before) / dt_before) / (dt_before + dt)
     sideways = -ca.sin(here[5]) * velocity[0] + ca.cos(here[5]) * velocity[1]
+    height = 0.5 * (here[2] + ca.sqrt(here[2] ** 2 + 1e-4))  # positive, wherever the solver looks
     beyond = 0  # squared distance from the margins; smooth over 1 cm, so that it begins before them
     for leg in range(4):
         side = float(np.sign(robot.hip_pos_b[leg, 1]))
-        inside = side * (now.feet_level[3 * leg + 1] - sideways * ca.sqrt(here[2] / GRAVITY))
+        inside = side * (now.feet_level[3 * leg + 1] - sideways * ca.sqrt(height / GRAVITY))
         short = g["capture"][leg] - inside
         beyond += (0.5 * (short + ca.sqrt(short**2 + 0.01**2))) ** 2
     smooth = (

@@ -37,7 +37,7 @@ from fastmimic.trajectory.node import (
 )
 from fastmimic.trajectory.solve import LIMITS, answered
 
-_SHORTEST_STEP_S = 0.0025
+_SHORTEST_STEP_S = 0.007
 _LONGEST_STEP_S = 0.012
 _MOST_DIFFERENCE = 0.6  # of the distance that a cycle covers
 _JOINED = [0, 1, -2, -1]  # nodes that keep their coordinates where a motion joins others
@@ -227,7 +227,7 @@ class Program:
         moves = modes.moves
         low[moves, ROWS["dynamics"]] = high[moves, ROWS["dynamics"]] = 0.0
         low[moves, ROWS["torque"]], high[moves, ROWS["torque"]] = -1.0, 1.0
-        high[moves, ROWS["driving"]] = high[moves, ROWS["braking"]] = 2.0
+        low[moves, ROWS["driving"]], high[moves, ROWS["driving"]] = -2.0, 2.0
         low[moves, ROWS["turning"]], high[moves, ROWS["turning"]] = -1.0, 1.0
         low[moves, ROWS["speed"]], high[moves, ROWS["speed"]] = -config.speed_share, config.speed_share
         height = self.animal["feet"].reshape(-1, 4, 3)[..., 2] - robot.foot_radius

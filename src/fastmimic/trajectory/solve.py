@@ -99,7 +99,7 @@ def _use(problem: "Program", variables: Array) -> Array:
     loaded = np.where(modes.loaded & modes.moves[:, None], force[..., 2], np.inf)
     values = {
         ("torque",): problem.config.torque_share * np.abs(rows[:, ROWS["torque"]]),
-        ("driving", "braking"): 0.5 * np.maximum(rows[:, ROWS["driving"]], rows[:, ROWS["braking"]]),
+        ("driving",): 0.5 * np.abs(rows[:, ROWS["driving"]]),
         ("speed",): np.abs(rows[:, ROWS["speed"]]),
         ("friction",): np.abs(force[..., :2]).max(axis=-1) / loaded,
     }
