@@ -20,7 +20,7 @@ import numpy as np
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.steering.command_errors import CommandErrors
+from fastmimic.steering.commands import CommandErrors
 from fastmimic.steering.gait_field import GaitField, gait_field
 
 EPISODE_S = 30.0

@@ -9,9 +9,8 @@ from fastmimic.control.config import default_config
 from fastmimic.deploy.account import summary_rows
 from fastmimic.deploy.deployment import Deployment, evaluation_of
 from fastmimic.deploy.safety import StopReason
-from fastmimic.deploy.sequence import MotionSequence
+from fastmimic.deploy.sequence import MotionSequence, SteeredFollower
 from fastmimic.deploy.state_machine import DeploymentPhase
-from fastmimic.deploy.steered_follower import SteeredFollower
 from fastmimic.robot import Robot
 from fastmimic.steering.commands import CommandScript
 from fastmimic.steering.gait_field import GaitField

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fastmimic.robot.state import OBSERVATION
-from fastmimic.steering.command_errors import CommandErrors
+from fastmimic.steering.commands import CommandErrors
 
 DT, LAG_S, SHORT = 0.002, 0.3, 0.9
 

@@ -16,8 +16,7 @@ import pytest
 
 from browsing import PATIENCE_S, until
 from fastmimic.base.errors import ConfigError
-from fastmimic.viewer.gate import Gate
-from fastmimic.viewer.viewer import HOST, WebPage
+from fastmimic.viewer.viewer import HOST, Gate, WebPage
 
 viser = pytest.importorskip("viser", reason="the extra 'view' is not installed")
 from websockets.datastructures import Headers  # noqa: E402

@@ -19,7 +19,7 @@ from fastmimic.base.files import write_json
 from fastmimic.base.machine import versions
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_INTERRUPTED, note, on_signal, put, put_json, put_table, slow_start
-from fastmimic.commands.deployment_logs import is_whole
+from fastmimic.commands.show import is_whole
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface
 from fastmimic.deploy.driver import DRIVERS, SIM, WIRED, RobotDriver, make_driver
@@ -184,8 +184,7 @@ class Deploy:
         commands: "Commands | None",
     ) -> "Deployment":
         from fastmimic.deploy.deployment import DeployOptions, deploy
-        from fastmimic.deploy.sequence import make_sequence
-        from fastmimic.deploy.steered_follower import SteeredFollower
+        from fastmimic.deploy.sequence import SteeredFollower, make_sequence
 
         clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock()
         switch, ready, dry = StopSwitch(), None, self.dry_run

@@ -11,8 +11,7 @@ from fastmimic.base.errors import ConfigError, LogError, naming
 from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import note, put, put_json, put_table, slow_start
-from fastmimic.commands.deployment_logs import check_truth, open_log
-from fastmimic.commands.show import figure_rows, provenance, yes_no
+from fastmimic.commands.show import check_truth, figure_rows, open_log, provenance, yes_no
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.estimation.config import EstimatorConfig

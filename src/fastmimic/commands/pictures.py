@@ -15,7 +15,7 @@ from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ConfigError, MotionError, OutputError
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import count_progress, note, put, slow_start
-from fastmimic.commands.deployment_logs import check_truth, open_log
+from fastmimic.commands.show import check_truth, open_log
 from fastmimic.deploy.log import is_deployment_log
 from fastmimic.episode.plan import default_duration
 from fastmimic.imitation.methods import METHODS, controller_for, method_named

@@ -36,7 +36,7 @@ from fastmimic.reference.table import advance_clocks, make_clocks, reference_tab
 from fastmimic.robot import Robot
 from fastmimic.robot.state import MEMORY
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.steering.command_errors import CommandErrors
+from fastmimic.steering.commands import CommandErrors
 
 DEFAULT_S: Final = 10.0
 _WAY_S: Final = 0.5  # between the places of which the way is the sum

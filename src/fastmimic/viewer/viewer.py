@@ -2,15 +2,18 @@
 
 import contextlib
 import errno
+import hmac
+import http
 import io
 import logging
 import math
+import secrets
 import socket
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, Self
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +21,6 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.robot import Robot
-from fastmimic.viewer.gate import Gate
 from fastmimic.viewer.panel import ViewerPanel
 from fastmimic.viewer.scene import LAYERS, animal_aside, line_up
 
@@ -40,6 +42,8 @@ LONGEST_S: Final = 10.0
 Repeat = Literal["all", "cycle", "off"]
 _CHARTS_PER_S: Final = 8.0
 IDLE_S: Final = 0.05
+_LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")  # names that no site can have
+_exchanging: Final = threading.Lock()
 
 
 def free_port(port: int, tries: int = PORTS_TRIED) -> int:
@@ -125,6 +129,58 @@ class Cameras:
         camera = client.camera
         camera.position, camera.look_at = default_camera(self._robot, self._beside, self._yaw, float(camera.aspect))
         camera.up_direction, camera.fov = (0.0, 0.0, 1.0), _FOV_RAD
+
+
+class Gate:
+    """Whom a page's server answers: its own pages, and the websockets that they open, of those who know `token`, the
+    first part of the path of both: viser's client opens its websocket at the path of its page.
+
+    Two attacks come through the user's own browser, from any site that is open in it. Cross-site websockets: the
+    same-origin policy lets every page open websockets to this machine; in `Origin` the browser says whose page it is.
+    DNS rebinding: a site's name comes to stand for 127.0.0.1, so that the browser takes the server for that site; in
+    `Host` it says that name. Other users of this machine can say there what they like, but do not know the token."""
+
+    def __init__(self) -> None:
+        self.token = secrets.token_urlsafe(16)
+
+    def refusal(self, headers: Any, path: str, port: int) -> str | None:
+        """Why a request with these headers (websockets' `Headers`) to this port is refused; None if it is answered."""
+        hosts = [f"{name}:{port}".removesuffix(":80") for name in _LOOPBACK]  # browsers leave out port 80
+        named, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(named) != 1 or named[0].lower() not in hosts or origins not in ([], [f"http://{named[0].lower()}"]):
+            return f"This server answers its own pages only, those of {' or '.join(hosts)}."
+        given = path[1:].partition("?")[0].partition("/")[0]
+        if not hmac.compare_digest(given.encode(errors="replace"), self.token.encode()):
+            return "Open the whole address, with its token, that FastMimic printed where it was started."
+        return None
+
+    def serve(self, **options: Any) -> Any:
+        """A `ViserServer` with these options, behind this gate. viser 1.1 has no place for one, so what it serves by
+        is exchanged while it starts. Raises `ConfigError`, and serves nothing, if viser did not call that."""
+        import viser
+        from websockets.asyncio import server as library
+
+        serve, guarded = library.serve, threading.Event()
+
+        def serve_guarded(*arguments: Any, process_request: Any = lambda *_: None, **options: Any) -> Any:
+            def answer(connection: Any, request: Any) -> Any:
+                if reason := self.refusal(request.headers, request.path, connection.local_address[1]):
+                    return connection.respond(http.HTTPStatus.FORBIDDEN, reason + "\n")
+                return process_request(connection, replace(request, path=request.path.removeprefix(f"/{self.token}")))
+
+            guarded.set()
+            return serve(*arguments, process_request=answer, **options)
+
+        with _exchanging:
+            library.serve = serve_guarded  # type: ignore[assignment,misc]
+            try:
+                server = viser.ViserServer(**options)
+            finally:
+                library.serve = serve  # type: ignore[misc]
+        if not guarded.is_set():
+            server.stop()
+            raise ConfigError("this viser's pages cannot be guarded from other sites: pip install 'viser==1.1.1'")
+        return server
 
 
 class WebPage:
