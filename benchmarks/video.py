@@ -37,7 +37,7 @@ def main() -> None:
     robot = fm.load_robot("a1")
     motion, _ = fm.retarget(fm.open_clip("trot"), robot)
     track = motion_track(motion, args.seconds, "trot", caption="as it is written")
-    track = dataclasses.replace(track, ghost=track)
+    track = dataclasses.replace(track, ghost=track.pose)
     cases = [("preview", n) for n in (1, 2, 4)] + ([("high", 1)] if args.high else [])
     rows = []
     with tempfile.TemporaryDirectory() as folder:

@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-NAMES = ("fuzz_files", "learning_cost", "learning_cost_figure", "marked", "motion_survey", "shares", "steer", "terrain")
+NAMES = (
+    *("fuzz_files", "learning_cost", "learning_cost_figure", "marked", "motion_survey", "readme_animation", "shares"),
+    *("steer", "terrain"),
+)
 
 
 class _Finder:

@@ -26,11 +26,11 @@ def opengl(a1: Robot) -> None:
 def walk(a1: Robot) -> Callable[..., Track]:
     """A robot that glides along x at 1 m/s, its knees swinging; `offset_m` moves it aside."""
 
-    def make(seconds: float = 0.4, offset_m: float = 0.0, ghost: Track | None = None, **text: str) -> Track:
+    def make(seconds: float = 0.4, offset_m: float = 0.0, ghost: np.ndarray | None = None, **text: str) -> Track:
         t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
         root = np.stack([t, np.full_like(t, offset_m), np.full_like(t, a1.home_height)], axis=1)
         quat = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
         joints = a1.home_joint_pos + 0.2 * np.sin(10 * t)[:, None]
-        return Track(root, quat, joints, ghost=ghost, **text)
+        return Track(np.hstack([root, quat, joints]), ghost=ghost, **text)
 
     return make

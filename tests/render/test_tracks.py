@@ -23,10 +23,10 @@ def test_cycles_follow_one_another_without_a_step(turn: Motion) -> None:
     """A standing foot stays where it is, also where one cycle ends and the next begins."""
     track = motion_track(turn, 3 * turn.period_s)
     n = turn.n_samples
-    assert len(track.root_pos_w) == 3 * n
+    assert len(track.pose) == 3 * n
     contact = np.tile(turn.contact, (3, 1))
     feet = np.tile(turn.foot_pos_b, (3, 1, 1))
-    feet_w = track.root_pos_w[:, None] + quat_rotate(track.root_quat_wxyz[:, None], feet)
+    feet_w = track.pose[:, None, :3] + quat_rotate(track.pose[:, None, 3:7], feet)
     moved = np.linalg.norm(np.diff(feet_w[..., :2], axis=0), axis=-1)
     stands = contact[1:] & contact[:-1]
     assert moved[stands].max() < 3e-4  # it rolls, and a cycle closes within 1 mm; in swing it moves 5 mm a sample
@@ -36,15 +36,15 @@ def test_cycles_follow_one_another_without_a_step(turn: Motion) -> None:
 def test_a_track_starts_at_the_origin_and_turns_with_every_cycle(turn: Motion) -> None:
     assert turn.cycle is not None
     track = motion_track(turn, 2 * turn.period_s)
-    np.testing.assert_allclose(track.root_pos_w[0, :2], 0, atol=1e-12)
-    yaw = yaw_from_quat(track.root_quat_wxyz)
+    np.testing.assert_allclose(track.pose[0, :2], 0, atol=1e-12)
+    yaw = yaw_from_quat(track.pose[:, 3:7])
     turned = np.angle(np.exp(1j * (yaw[turn.n_samples] - yaw[0])))
     assert turned == pytest.approx(turn.cycle[2], abs=1e-9)
 
 
 def test_a_motion_without_a_cycle_is_shown_once(turn: Motion) -> None:
     once = Motion(**{**vars(turn), "cycle": None})
-    assert len(motion_track(once, 10.0).root_pos_w) == turn.n_samples
+    assert len(motion_track(once, 10.0).pose) == turn.n_samples
 
 
 def test_a_rollout_keeps_the_demonstration_as_its_ghost(robot: Robot, turn: Motion) -> None:
@@ -55,8 +55,8 @@ def test_a_rollout_keeps_the_demonstration_as_its_ghost(robot: Robot, turn: Moti
     np.testing.assert_array_equal(track.contact, rollout.log.observation[0]["foot_force"][..., 2] > least)
     assert (track.title, track.caption) == ("title", f"reward {rollout.reward[0]:.2f}")
     assert track.ghost is not None
-    assert len(track.root_pos_w) == len(track.ghost.root_pos_w) == 250
-    np.testing.assert_allclose(track.root_pos_w, track.ghost.root_pos_w, atol=0.05)  # it imitates
+    assert len(track.pose) == len(track.ghost) == 250
+    np.testing.assert_allclose(track.pose[:, :3], track.ghost[:, :3], atol=0.05)  # it imitates
 
 
 def test_feet_are_known_until_the_fall(robot: Robot, turn: Motion) -> None:

@@ -13,14 +13,11 @@ from PIL import Image
 from video_files import RATE_HZ, read_video, stream_facts
 
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.clips.catalogue import open_clip
-from fastmimic.clips.clip import KEYPOINTS
 from fastmimic.render import video
 from fastmimic.render.offscreen import Offscreen, in_any_thread
-from fastmimic.render.tracks import AnimalTrack, Track, animal_track, resample
+from fastmimic.render.tracks import Track, resample
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
-from fastmimic.runs.loading import load_motion
 
 SIZE = (320, 180)
 Walk = Callable[..., Track]
@@ -47,7 +44,7 @@ def test_video_has_the_length_size_and_format_asked_for(a1: Robot, walk: Walk, t
 def test_frames_are_the_same_however_many_draw_them(
     a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    track = replace(walk(0.3), ghost=walk(0.3, offset_m=0.1))
+    track = replace(walk(0.3), ghost=walk(0.3, offset_m=0.1).pose)
     made = []
     monkeypatch.setattr(video, "available_cores", lambda: 8)
     for painters in (1, 3):
@@ -90,7 +87,7 @@ def test_the_robot_is_in_the_picture_and_moves(a1: Robot, walk: Walk, tmp_path: 
 @pytest.mark.usefixtures("opengl")
 def test_two_tracks_stand_side_by_side_each_with_its_words(a1: Robot, walk: Walk, tmp_path: Path) -> None:
     still = walk(0.2)
-    bent = replace(still, joint_pos=still.joint_pos + 0.5, title="after", caption="reward 0.84")
+    bent = replace(still, pose=still.pose + np.repeat([0.0, 0.5], (7, 12)), title="after", caption="reward 0.84")
     render_video(a1, [still, bent], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
     first = read_video(tmp_path / "v.mp4")[0].astype(int)
     left, right = first[:, :156], first[:, 164:]
@@ -104,7 +101,7 @@ def test_two_tracks_stand_side_by_side_each_with_its_words(a1: Robot, walk: Walk
 def test_the_demonstration_shows_as_a_green_ghost(a1: Robot, walk: Walk, tmp_path: Path) -> None:
     plain, apart = walk(0.1), walk(0.1, offset_m=0.3)
     shots = []
-    for name, track in (("plain", plain), ("ghost", replace(plain, ghost=apart))):
+    for name, track in (("plain", plain), ("ghost", replace(plain, ghost=apart.pose))):
         render_video(a1, [track], tmp_path / f"{name}.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
         shots.append(read_video(tmp_path / f"{name}.mp4")[0, 30:150].astype(int))
 
@@ -118,7 +115,7 @@ def test_the_demonstration_shows_as_a_green_ghost(a1: Robot, walk: Walk, tmp_pat
 @pytest.mark.usefixtures("opengl")
 def test_only_the_tracks_that_have_a_ghost_show_one(a1: Robot, walk: Walk, tmp_path: Path) -> None:
     plain = walk(0.1)
-    haunted = replace(plain, ghost=walk(0.1, offset_m=0.3))
+    haunted = replace(plain, ghost=walk(0.1, offset_m=0.3).pose)
     render_video(a1, [plain, haunted], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=10, size=SIZE)
     first = read_video(tmp_path / "v.mp4")[0, 30:150].astype(int)
     green = first[..., 1] - first[..., 0] > 25
@@ -206,23 +203,10 @@ def test_loaded_feet_are_marked_and_leave_trails(a1: Robot, walk: Walk, tmp_path
 
 
 @pytest.mark.usefixtures("opengl")
-def test_an_animal_is_drawn_in_the_robots_place(a1: Robot, walk: Walk, tmp_path: Path) -> None:
-    clip = open_clip("trot", robot=a1)
-    track = animal_track(clip, a1, load_motion(clip, a1), 0.2, "animal")
-    render_video(a1, [track, walk(0.2)], tmp_path / "v.mp4", rate_hz=500, fps=10, size=SIZE)
-    left, right = np.split(read_video(tmp_path / "v.mp4")[0, 30:150].astype(int), [160], axis=1)
-
-    def brown(half: np.ndarray) -> float:
-        return float(np.mean((half[..., 0] - half[..., 2] > 40) & (half[..., 0] < 200)))
-
-    assert brown(left) > 0.05 > brown(right)
-
-
-@pytest.mark.usefixtures("opengl")
 @pytest.mark.parametrize("quality", ["preview", "high"])
 def test_a_loop_ends_on_the_ground_on_which_it_begins(a1: Robot, walk: Walk, tmp_path: Path, quality: str) -> None:
     still = walk(1.6)
-    still = replace(still, joint_pos=np.tile(still.joint_pos[0], (80, 1)))
+    still.pose[:, 7:] = still.pose[0, 7:]
     differences = []
     for loop_m in (0.7, None):  # at 1 m/s: the frame after the loop's last is its first
         render_video(
@@ -246,25 +230,25 @@ def test_a_loop_ends_on_the_ground_on_which_it_begins(a1: Robot, walk: Walk, tmp
 
 def test_resampling_interpolates_between_samples(walk: Walk) -> None:
     track = walk(0.1)
-    poses = resample(track, RATE_HZ, np.array([0.0, 0.5, 1.0]) / RATE_HZ)
+    poses = resample(track.pose, RATE_HZ, np.array([0.0, 0.5, 1.0]) / RATE_HZ)
     np.testing.assert_allclose(poses[:, 0], np.array([0.0, 0.5, 1.0]) / RATE_HZ, atol=1e-12)
-    np.testing.assert_allclose(poses[1, 7:], track.joint_pos[:2].mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(poses[1, 7:], track.pose[:2, 7:].mean(axis=0), atol=1e-12)
 
 
 def test_resampling_takes_the_short_way_between_quaternions_of_opposite_sign(walk: Walk) -> None:
-    track = walk(0.1)
-    signs = np.array([1, -1, 1, -1, 1])[:, None]
-    poses = resample(replace(track, root_quat_wxyz=signs * track.root_quat_wxyz), RATE_HZ, np.array([0.5]) / RATE_HZ)
+    pose = walk(0.1).pose
+    pose[:, 3:7] *= np.array([1, -1, 1, -1, 1])[:, None]
+    poses = resample(pose, RATE_HZ, np.array([0.5]) / RATE_HZ)
     np.testing.assert_allclose(np.abs(poses[0, 3:7]), [1, 0, 0, 0], atol=1e-12)
 
 
 def test_a_fall_holds_the_last_pose_before_it(walk: Walk) -> None:
     track = walk(0.2)
-    joints = track.joint_pos.copy()
-    joints[4:, 3] = np.nan
-    poses = resample(replace(track, joint_pos=joints), RATE_HZ, np.array([0.06, 0.08, 0.19, 5.0]))
+    fallen = track.pose.copy()
+    fallen[4:, 10] = np.nan
+    poses = resample(fallen, RATE_HZ, np.array([0.06, 0.08, 0.19, 5.0]))
     np.testing.assert_allclose(poses, np.tile(poses[0], (4, 1)), atol=1e-12)
-    np.testing.assert_allclose(poses[0, 7:], track.joint_pos[3], atol=1e-12)
+    np.testing.assert_allclose(poses[0, 7:], track.pose[3, 7:], atol=1e-12)
 
 
 @pytest.mark.usefixtures("opengl")
@@ -330,18 +314,14 @@ def test_settings_out_of_range_say_what_was_found(
 
 def test_tracks_that_do_not_fit_are_refused(walk: Walk) -> None:
     track = walk(0.1)
-    with pytest.raises(ConfigError, match=r"found \(\(5, 3\), \(5, 4\), \(4, 12\)\)"):
-        replace(track, joint_pos=track.joint_pos[:-1])
+    with pytest.raises(ConfigError, match=r"needs poses \(t, 19\) with t ≥ 1, found \(5, 18\)"):
+        replace(track, pose=track.pose[:, :-1])
     with pytest.raises(ConfigError, match="a ghost has 10 samples; its track has 5"):
-        replace(track, ghost=walk(0.2))
+        replace(track, ghost=walk(0.2).pose)
     with pytest.raises(ConfigError, match="first pose is not finite"):
-        replace(track, root_pos_w=np.full((5, 3), np.nan))
+        replace(track, pose=np.full((5, 19), np.nan))
     with pytest.raises(ConfigError, match=r"needs contacts \(5, 4\), found \(4, 4\)"):
         replace(track, contact=np.ones((4, 4), bool))
-    with pytest.raises(ConfigError, match=r"points have shape \(5, 3, 3\); expected \(t, 10, 3\)"):
-        AnimalTrack(np.zeros((5, 3, 3)), KEYPOINTS)
-    with pytest.raises(ConfigError, match="points are not finite"):
-        AnimalTrack(np.full((5, 10, 3), np.nan), KEYPOINTS)
 
 
 def test_without_opengl_there_is_a_warning_and_no_video(
@@ -363,7 +343,7 @@ from fastmimic.robot import load_robot
 from fastmimic.render.tracks import Track
 from fastmimic.render.video import render_video
 robot = load_robot("a1")
-track = Track(np.array([[0, 0, 0.3]]), np.array([[1.0, 0, 0, 0]]), robot.home_joint_pos[None])
+track = Track(np.array([[0, 0, 0.3, 1.0, 0, 0, 0, *robot.home_joint_pos]]))
 assert render_video(robot, [track], {str(tmp_path / "v.mp4")!r}, rate_hz=50, size=(64, 48)).frames == 1
 """
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL", "PYOPENGL_PLATFORM")

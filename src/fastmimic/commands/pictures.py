@@ -157,7 +157,7 @@ class Render:
 def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":
     from fastmimic.render.tracks import motion_track
 
-    ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds, "demonstration")
+    ghost = None if motion.demonstration is None else motion_track(motion.demonstration, seconds).pose
     caption = "as optimised, no physics" if ghost is not None else "as retargeted, no physics"
     return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
 

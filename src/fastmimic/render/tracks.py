@@ -1,7 +1,7 @@
 """Tracks: poses of robots and animals over time for videos, made from logs, motions and clips."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base import rotations
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
-from fastmimic.clips.clip import Clip, Skeleton
+from fastmimic.clips.clip import Clip
 from fastmimic.motion.export import at_samples
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
@@ -21,59 +21,77 @@ from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
+    from fastmimic.render.video_scene import CameraView
+
+_TRAIL_S: Final = 0.45
+_TRAIL_PIECES: Final = 14
+_TRAIL_STEP: Final = 0.002  # m; shorter pieces are not drawn, as the foot stands
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a panel of a video shows in each of n frames."""
+
+    root: Array  # (n, 3) what the camera follows, world, m
+    yaw: float  # heading in the first frame, rad
+    robot: Array | None = None  # (n, 19) poses; None for no robot
+    ghost: Array | None = None  # the same of its demonstration
+    feet: Array | None = None  # (n, p, 4, 3) now and at the p - 1 moments before that a trail joins; None: no marks
+    contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
+    terrain: Terrain | None = None
+
+    def mark(self, view: "CameraView", frame: int, width: float) -> None:
+        """Draws the trails of the feet, `width` pixels wide, and discs under loaded feet."""
+        if self.feet is None:
+            return
+        for leg in range(4):
+            if self.contact is not None and self.contact[frame, leg]:
+                view.disc(self.feet[frame, 0, leg], leg)
+            path = self.feet[frame, :, leg]  # (p, 3), present first: a fading trail, without where it stood
+            for i in np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP):
+                view.line(path[i], path[i + 1], leg, 0.9 * (1 - i / _TRAIL_PIECES), width)
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
     """What one robot does, for a panel of a video. A NaN, as after a fall, holds the last pose before it."""
 
-    root_pos_w: Array  # (t, 3) base position, world, m
-    root_quat_wxyz: Array  # (t, 4) base orientation, body → world
-    joint_pos: Array  # (t, 12) rad
+    pose: Array  # (t, 19) base position (world, m), orientation (wxyz, body → world) and joints (rad)
     title: str = ""  # first line of the panel, such as "before"
     caption: str = ""  # second line, such as "reward 0.84"
-    ghost: "Track | None" = None  # the demonstration at the same times, drawn as a translucent robot; None for no ghost
+    ghost: Array | None = None  # (t, 19) the demonstration, drawn as a translucent robot; None for no ghost
     contact: NDArray[np.bool_] | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
     terrain: Terrain | None = None  # None for flat ground
 
-    @property
-    def pose(self) -> Array:
-        """Root position, quaternion and joints (t, 19)."""
-        return np.hstack([np.asarray(a, np.float64) for a in (self.root_pos_w, self.root_quat_wxyz, self.joint_pos)])
-
     def __post_init__(self) -> None:
-        n = len(self.root_pos_w)
-        shapes = (np.shape(self.root_pos_w), np.shape(self.root_quat_wxyz), np.shape(self.joint_pos))
-        if n < 1 or shapes != ((n, 3), (n, 4), (n, 12)):
-            raise ConfigError(f"a track needs arrays (t, 3), (t, 4) and (t, 12) with t ≥ 1, found {shapes}")
+        n = len(self.pose)
+        if n < 1 or np.shape(self.pose) != (n, 19):
+            raise ConfigError(f"a track needs poses (t, 19) with t ≥ 1, found {np.shape(self.pose)}")
         if not np.isfinite(self.pose[0]).all():
             raise ConfigError("a track's first pose is not finite")
-        if self.ghost is not None and len(self.ghost.root_pos_w) != n:
-            raise ConfigError(f"a ghost has {len(self.ghost.root_pos_w)} samples; its track has {n}")
+        if self.ghost is not None and len(self.ghost) != n:
+            raise ConfigError(f"a ghost has {len(self.ghost)} samples; its track has {n}")
         if self.contact is not None and np.shape(self.contact) != (n, 4):
             raise ConfigError(f"a track of {n} samples needs contacts ({n}, 4), found {np.shape(self.contact)}")
 
-
-@dataclass(frozen=True, eq=False)
-class AnimalTrack:
-    """What an animal does, for a panel of a video: points and the bones between them."""
-
-    points_w: Array  # (t, k, 3) world, m, finite
-    skeleton: Skeleton  # which of the points are joined
-    title: str = ""  # as in `Track`
-    caption: str = ""
-
-    def __post_init__(self) -> None:
-        shape = np.shape(self.points_w)
-        if len(shape) != 3 or shape[0] < 1 or shape[1:] != (self.skeleton.points, 3):
-            raise ConfigError(f"the animal's points have shape {shape}; expected (t, {self.skeleton.points}, 3), t ≥ 1")
-        if not np.all(np.isfinite(self.points_w)):
-            raise ConfigError("the animal's points are not finite")
+    def shown(self, robot: Robot, rate_hz: float, times: Array, *, marks: bool) -> Shown:
+        """What it shows in frames at `times` (n,) s; `marks` are those of the feet."""
+        pose = resample(self.pose, rate_hz, times)
+        ghost = resample(self.ghost, rate_hz, times) if self.ghost is not None else None
+        yaw = float(rotations.yaw_from_quat(pose[0, 3:7]))
+        if not marks:
+            return Shown(pose[:, :3], yaw, pose, ghost, terrain=self.terrain)
+        moments = times[:, None] - np.linspace(0.0, _TRAIL_S, _TRAIL_PIECES + 1)
+        before = resample(self.pose, rate_hz, np.maximum(moments, 0.0).ravel())
+        feet = world_feet(robot, before).reshape(*moments.shape, 4, 3)
+        nearest = np.clip(np.round(times * rate_hz).astype(np.int64), 0, len(self.pose) - 1)
+        contact = None if self.contact is None else np.asarray(self.contact, dtype=np.bool_)[nearest]
+        return Shown(pose[:, :3], yaw, pose, ghost, feet, contact, self.terrain)
 
 
-def resample(track: Track, rate_hz: float, times: Array) -> Array:
-    """Poses of a track at `times` (n,) s: (n, 19) root position, quaternion and joints, all finite."""
-    poses = track.pose
+def resample(poses: Array, rate_hz: float, times: Array) -> Array:
+    """Poses at `times` (n,) s: (n, 19), all finite, from those of a track, (t, 19)."""
+    poses = np.array(poses, np.float64)
     bad = ~np.isfinite(poses).all(axis=1)
     poses = poses[: int(np.argmax(bad)) if bad.any() else len(poses)]
     poses[:, 3:7] = rotations.quat_continuous(poses[:, 3:7])
@@ -90,14 +108,6 @@ def interpolated(rows: Array, at: Array) -> Array:
     return np.asarray(rows[low] + (at - low)[(..., *[None] * (rows.ndim - 1))] * (rows[high] - rows[low]))
 
 
-def resample_contact(track: Track, rate_hz: float, times: Array) -> NDArray[np.bool_]:
-    """Loaded feet at `times` (n,) s, (n, 4); none if unknown."""
-    if track.contact is None:
-        return np.zeros((len(times), 4), dtype=np.bool_)
-    nearest = np.clip(np.round(times * rate_hz).astype(np.int64), 0, len(track.contact) - 1)
-    return np.asarray(track.contact, dtype=np.bool_)[nearest]
-
-
 def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
     """An episode of a logged rollout, falls included, with the demonstration as its ghost. The panel's second line
     tells the reward and the time of a fall after `note`, such as the method; `loaded_n` loads a foot, N."""
@@ -107,20 +117,17 @@ def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode:
     caption += f"reward {rollout.reward[episode]:.2f}"
     if rollout.fell[episode]:
         caption += f", fell after {rollout.steps[episode] / log.rate_hz:.1f} s"
-    return Track(
-        robot["root_pos"],
-        robot["root_quat"],
-        robot["joint_pos"],
-        title=title,
-        caption=caption,
-        ghost=Track(ghost["root_pos"], ghost["root_quat"], ghost["joint_pos"], title="demonstration"),
-        contact=robot["foot_force"][..., 2] > loaded_n,  # False for the NaN after a fall
-        terrain=log.terrain,
-    )
+    contact = robot["foot_force"][..., 2] > loaded_n  # False for the NaN after a fall
+    return Track(poses_of(robot), title, caption, poses_of(ghost), contact, log.terrain)
+
+
+def poses_of(states: NDArray[Any]) -> Array:
+    """(t, 19) root position, quaternion and joints of states (t,)."""
+    return np.hstack([states["root_pos"], states["root_quat"], states["joint_pos"]])
 
 
 def motion_track(
-    motion: Motion, duration_s: float, title: str = "", ghost: Track | None = None, caption: str = ""
+    motion: Motion, duration_s: float, title: str = "", ghost: Array | None = None, caption: str = ""
 ) -> Track:
     """The first `duration_s` of a motion, without physics: repeated if it is cyclic. The ghost has the same length."""
     n = max(1, round(duration_s * motion.rate_hz))
@@ -131,7 +138,8 @@ def motion_track(
     back = -float(rotations.yaw_from_quat(quat[0]))
     position = rotations.turned_about_z(position - np.array([*position[0, :2], 0.0]), back)
     quat = rotations.quat_multiply(rotations.quat_from_yaw(np.array([back])), quat)
-    return Track(position, quat, joint_pos, title, caption, ghost, motion.contact[sample % motion.n_samples])
+    contact = motion.contact[sample % motion.n_samples]
+    return Track(np.hstack([position, quat, joint_pos]), title, caption, ghost, contact)
 
 
 def world_feet(robot: Robot, pose: Array) -> Array:
@@ -142,42 +150,26 @@ def world_feet(robot: Robot, pose: Array) -> Array:
 
 class Animal:
     """A clip's points on the ground in its own heading frame, scaled as in retargeting: `points` (t, 10, 3) keypoints,
-    m, from the ground under the middle of neck and pelvis; `body` (t, k, 3) those that the `skeleton` joins, its radii
-    at the robot's size. `motion`, made of the clip, may have another length; it is then run through to its end."""
+    m, from the ground under the middle of neck and pelvis. `motion`, made of the clip, may have another length; it is
+    then run through to its end."""
 
     def __init__(self, clip: Clip, robot: Robot, motion: Motion) -> None:
-        scale = choose_scale(clip, robot)
-        source = extract(clip, scale, RetargetConfig().roll_share)
-        ground = np.percentile(scale * clip.toes_w[..., 2], 10, axis=0).mean()
-
-        def local(points_w: Array) -> Array:
-            points = scale * points_w
-            points[..., :2] = rotations.rotate_planar(
-                -source.heading[:, None], points[..., :2] - source.root_xy[:, None]
-            )
-            points[..., 2] -= ground
-            return points
-
-        self.points, self.body = local(clip.points_w), local(clip.drawn_w)
-        bones = clip.skeleton
-        self.skeleton = Skeleton(bones.points, bones.bones, tuple(scale * radius for radius in bones.radii))
+        self.scale = choose_scale(clip, robot)
+        self._source = extract(clip, self.scale, RetargetConfig().roll_share)
+        self._ground = np.percentile(self.scale * clip.toes_w[..., 2], 10, axis=0).mean()
+        self.points = self.local(clip.points_w)
         self._periodic = motion.target.cycle is not None
         self._samples = motion.target.n_samples
 
+    def local(self, points_w: Array) -> Array:
+        """Points (t, k, 3) of the clip, world, m, in that frame."""
+        points, heading = self.scale * points_w, self._source.heading[:, None]
+        points[..., :2] = rotations.rotate_planar(-heading, points[..., :2] - self._source.root_xy[:, None])
+        points[..., 2] -= self._ground
+        return points
+
     def at(self, points: Array, sample: NDArray[np.int64] | int) -> Array:
-        """`points` or `body` (t, k, 3) at samples (n,) of the demonstration, or at one: (n, k, 3) or (k, 3)."""
+        """Such points (t, k, 3) at samples (n,) of the demonstration, or at one: (n, k, 3) or (k, 3)."""
         course = np.concatenate([points, points[:1]]) if self._periodic else points
         last = self._samples if self._periodic else max(self._samples - 1, 1)
         return interpolated(course, np.asarray(sample) / last * (len(course) - 1))
-
-
-def animal_track(
-    clip: Clip, robot: Robot, motion: Motion, duration_s: float, title: str = "", caption: str = ""
-) -> AnimalTrack:
-    """The first `duration_s` of a clip's animal, at the robot's size, on the path and at the rate of `motion`."""
-    animal = Animal(clip, robot, motion)
-    path = motion_track(motion.target, duration_s)
-    heading = rotations.yaw_from_quat(path.root_quat_wxyz)
-    points = animal.at(animal.body, np.arange(len(path.root_pos_w)) % motion.target.n_samples)
-    points[..., :2] = path.root_pos_w[:, None, :2] + rotations.rotate_planar(heading[:, None], points[..., :2])
-    return AnimalTrack(points, animal.skeleton, title, caption)

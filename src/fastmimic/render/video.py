@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
-from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, encoded, encoder_arguments
 from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
-from fastmimic.render.tracks import AnimalTrack, Track, interpolated, resample, resample_contact, world_feet
-from fastmimic.render.video_scene import GHOST_RGBA, TILE_M, CameraView, VideoScene, build_video_scene, leg_rgba
+from fastmimic.render.tracks import Shown, Track
+from fastmimic.render.video_scene import GHOST_RGBA, TILE_M, CameraView, VideoScene, build_video_scene
 from fastmimic.robot import Robot
-from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     import mujoco
@@ -33,13 +31,8 @@ _CAMERA_SMOOTHING_S: Final = 0.35
 _LOOK_AT_HEIGHT: Final = 0.62  # share of the base's height; leaves room for text and shadow
 MAX_PANELS: Final = 4
 _MAX_PAINTERS: Final = 4
-_TRAIL_S: Final = 0.45
-_TRAIL_PIECES: Final = 14
-_TRAIL_STEP: Final = 0.002  # m; shorter pieces are not drawn, as the foot stands
 _TRAIL_WIDTH: Final = 3.0  # pixels in a picture of 720 lines; at least half of it
-_BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
 
-AnyTrack: TypeAlias = Track | AnimalTrack
 _Paint: TypeAlias = Callable[[int], Future[NDArray[np.uint8]]]  # starts drawing a frame (height, width, 3)
 
 
@@ -52,26 +45,11 @@ class VideoInfo:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
-    """What a track shows in each of n frames."""
-
-    root: Array  # (n, 3) what the camera follows, world, m
-    yaw: float  # heading in the first frame, rad
-    robot: Array | None = None  # (n, 19) poses; None for an animal
-    ghost: Array | None = None  # the same of its demonstration
-    feet: Array | None = None  # (n, p, 4, 3) now and at the p - 1 moments before that a trail joins; None: no marks
-    contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
-    bones: Array | None = None  # (n, b, 2, 3) their ends, world, m; None for a robot
-    radii: tuple[float, ...] = ()  # (b,) of the bones, m
-    terrain: Terrain | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class _Panel:
     """A view with what it shows, the points (n, 3) to look at, and the width of trails, pixels."""
 
     view: CameraView
-    shown: _Shown
+    shown: Shown
     look_at: Array
     trail_width: float
 
@@ -80,22 +58,13 @@ class _Panel:
         robot = None if shown.robot is None else shown.robot[frame]
         ghost = None if shown.ghost is None else shown.ghost[frame]
         self.view.update(robot, ghost, self.look_at[frame])
-        if shown.bones is not None:
-            for (start, end), radius in zip(shown.bones[frame], shown.radii, strict=True):
-                self.view.capsule(start, end, radius, _BONE_RGBA)
-        if shown.feet is not None and shown.contact is not None:
-            for leg in range(4):
-                if shown.contact[frame, leg]:
-                    self.view.disc(shown.feet[frame, 0, leg], leg_rgba(leg, 0.75))
-                path = shown.feet[frame, :, leg]  # (p, 3), present first: a fading trail, without where it stood
-                for i in np.flatnonzero(np.linalg.norm(np.diff(path, axis=0), axis=1) > _TRAIL_STEP):
-                    self.view.line(path[i], path[i + 1], leg_rgba(leg, 0.9 * (1 - i / _TRAIL_PIECES)), self.trail_width)
+        shown.mark(self.view, frame, self.trail_width)
         return self.view.scene
 
 
 def render_video(
     robot: Robot,
-    tracks: Sequence[AnyTrack],
+    tracks: Sequence[Track],
     path: str | Path,
     *,
     rate_hz: float,
@@ -145,15 +114,13 @@ def render_video(
             raise ConfigError(f"{name} must be positive, found {value:g}")
     if not 1 <= columns <= len(tracks):
         raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
-    longest = max(len(t.points_w if isinstance(t, AnimalTrack) else t.root_pos_w) for t in tracks)
-    count = max(1, round(longest / rate_hz * (fps * slow_motion)))
+    count = max(1, round(max(len(track.pose) for track in tracks) / rate_hz * (fps * slow_motion)))
     times = np.arange(count) / (fps * slow_motion)  # in the motion, s
     frames = _frames(times, window_s)
     arguments = encoder_arguments(path, size, fps, quality, len(frames))
-    shown = [_shown(robot, track, rate_hz, times, marks) for track in tracks]
+    shown = [track.shown(robot, rate_hz, times, marks=marks) for track in tracks]
     video_scene = _build(robot, shown, size, quality, loop_m)
-    ghosts = [t.ghost for t in tracks if isinstance(t, Track) and t.ghost is not None]
-    legend = (GHOST_RGBA[:3], ghosts[0].title or "demonstration") if ghosts else None
+    legend = (GHOST_RGBA[:3], "demonstration") if any(track.ghost is not None for track in tracks) else None
     note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
     words = [(t.title, t.caption) for t in tracks]
     overlay = Overlay(*size, words, legend, note, columns=columns, clock=clock)
@@ -229,27 +196,8 @@ def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
     return range(int(first), int(end))
 
 
-def _shown(robot: Robot, track: AnyTrack, rate_hz: float, times: Array, marks: bool) -> _Shown:
-    if isinstance(track, AnimalTrack):
-        points = interpolated(np.asarray(track.points_w, dtype=np.float64), rate_hz * times)
-        bones = points[:, np.array(track.skeleton.bones)]
-        middle = (points.min(axis=1) + points.max(axis=1)) / 2
-        heading = float(np.arctan2(*(middle[-1] - middle[0])[1::-1]))  # of its travel
-        return _Shown(middle, heading, bones=bones, radii=track.skeleton.radii)
-    pose = resample(track, rate_hz, times)
-    ghost = resample(track.ghost, rate_hz, times) if track.ghost is not None else None
-    yaw = float(yaw_from_quat(pose[0, 3:7]))
-    if not marks:
-        return _Shown(pose[:, :3], yaw, pose, ghost, terrain=track.terrain)
-    moments = times[:, None] - np.linspace(0.0, _TRAIL_S, _TRAIL_PIECES + 1)
-    before = resample(track, rate_hz, np.maximum(moments, 0.0).ravel())
-    feet = world_feet(robot, before).reshape(*moments.shape, 4, 3)
-    contact = resample_contact(track, rate_hz, times)
-    return _Shown(pose[:, :3], yaw, pose, ghost, feet, contact, terrain=track.terrain)
-
-
 def _build(
-    robot: Robot, shown: list[_Shown], size: tuple[int, int], quality: Quality, loop_m: float | None
+    robot: Robot, shown: list[Shown], size: tuple[int, int], quality: Quality, loop_m: float | None
 ) -> VideoScene:
     paths = np.concatenate([path[:, :2] for s in shown for path in (s.root, s.ghost) if path is not None])
     tile = TILE_M
@@ -268,7 +216,7 @@ def _build(
 
 
 def _panels(
-    video_scene: VideoScene, robot: Robot, shown: list[_Shown], times: Array, size: tuple[int, int], columns: int
+    video_scene: VideoScene, robot: Robot, shown: list[Shown], times: Array, size: tuple[int, int], columns: int
 ) -> list[_Panel]:
     """Panels that all look from the same side and distance, each following its own robot."""
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length

@@ -250,7 +250,7 @@ class CameraView:
     world's x axis, at a point in `distance`, m."""
 
     def __init__(self, video_scene: VideoScene, azimuth_deg: float, distance: float) -> None:
-        self._video_scene = video_scene
+        self.video_scene = video_scene
         self._data = mujoco.MjData(video_scene.model)
         self.scene = mujoco.MjvScene(video_scene.model, maxgeom=2 * video_scene.model.ngeom + _MAX_MARKS)
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = video_scene.quality.shadow_map > 0
@@ -266,7 +266,7 @@ class CameraView:
     def update(self, robot: Array | None, ghost: Array | None, look_at: Array) -> None:
         """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world. The first call
         settles whether robot and ghost are shown."""
-        model, data, video_scene = self._video_scene.model, self._data, self._video_scene
+        model, data, video_scene = self.video_scene.model, self._data, self.video_scene
         if robot is not None:
             data.qpos[video_scene.robot_qpos] = robot
         if video_scene.ghost_qpos is not None and ghost is not None:
@@ -280,33 +280,23 @@ class CameraView:
         self._follow(look_at)
         self._cast_shadow()
 
-    def line(self, start: Array, end: Array, rgba: Rgba, width: float) -> None:
-        """Adds a line between two points (3,), world; `width` in pixels."""
-        geom = self._add(mujoco.mjtGeom.mjGEOM_LINE, _ZERO, _ZERO, rgba)
+    def line(self, start: Array, end: Array, leg: int, alpha: float, width: float) -> None:
+        """Adds a line between two points (3,), world, in the colour of a leg; `width` in pixels."""
+        geom = self.add(mujoco.mjtGeom.mjGEOM_LINE, _ZERO, _ZERO, leg_rgba(leg, alpha))
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_LINE, width, start, end)
         geom.emission, geom.specular = 0.6, 0.0
 
-    def disc(self, centre: Array, rgba: Rgba) -> None:
+    def disc(self, centre: Array, leg: int) -> None:
         """Adds the mark of a loaded foot on the ground under `centre` (3,), world."""
-        terrain = self._video_scene.terrain
+        terrain = self.video_scene.terrain
         ground = 0.0 if terrain is None else float(terrain.height(centre[0], centre[1]))
         at = np.array([centre[0], centre[1], ground + _MARK_HEIGHT])
         size = np.array([_MARK_RADIUS, 0.001, 0.0])
-        geom = self._add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, rgba)
+        geom = self.add(mujoco.mjtGeom.mjGEOM_CYLINDER, size, at, leg_rgba(leg, 0.75))
         geom.emission, geom.specular = 0.2, 0.0
 
-    def capsule(self, start: Array, end: Array, radius: float, rgba: Rgba) -> None:
-        """Adds a capsule between two points (3,), world, with its shadow."""
-        geom = self._add(mujoco.mjtGeom.mjGEOM_CAPSULE, _ZERO, _ZERO, rgba)
-        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
-        geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
-        if not self._video_scene.quality.shadow_map:
-            shadow = self.scene.geoms[self.scene.ngeom]
-            _start_shadow(geom, shadow)
-            _flatten(geom, shadow)
-            self.scene.ngeom += 1
-
-    def _add(self, kind: mujoco.mjtGeom, size: Array, at: Array, rgba: Rgba) -> mujoco.MjvGeom:
+    def add(self, kind: mujoco.mjtGeom, size: Array, at: Array, rgba: Rgba) -> mujoco.MjvGeom:
+        """Adds something to be drawn in this frame, at (3,), world."""
         assert self.scene.ngeom + 1 < self.scene.maxgeom, "more to draw than there is room for"
         geom = self.scene.geoms[self.scene.ngeom]
         mujoco.mjv_initGeom(geom, kind, size, at, _UPRIGHT, np.array(rgba, dtype=np.float32))
@@ -315,7 +305,7 @@ class CameraView:
 
     def _follow(self, look_at: Array) -> None:
         """Moves the tiles, by whole periods of their pattern, and the light's depth map to the camera's point."""
-        video_scene = self._video_scene
+        video_scene = self.video_scene
         period = 2 * video_scene.tile
         for tiles in video_scene.tiles:
             geom = next(g for g in self.scene.geoms[: self.scene.ngeom] if g.objtype == _GEOM and g.objid == tiles)
@@ -327,20 +317,20 @@ class CameraView:
 
     def _cast_shadow(self) -> None:
         """Appends the robot's geoms again, flattened onto the ground: much faster than a shadow map."""
-        if self._video_scene.quality.shadow_map:
+        if self.video_scene.quality.shadow_map:
             return
         if self._shadows is None:
-            geoms, end, casts_shadow = self.scene.geoms, self.scene.ngeom, self._video_scene.casts_shadow
+            geoms, end, casts_shadow = self.scene.geoms, self.scene.ngeom, self.video_scene.casts_shadow
             casting = [geom for geom in geoms[:end] if geom.objtype == _GEOM and casts_shadow[geom.objid]]
             self._shadows = [(geom, geoms[end + k]) for k, geom in enumerate(casting)]
             for geom, shadow in self._shadows:
-                _start_shadow(geom, shadow)
+                start_shadow(geom, shadow)
         for geom, shadow in self._shadows:
-            _flatten(geom, shadow)
+            flatten(geom, shadow)
         self.scene.ngeom += len(self._shadows)
 
 
-def _start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+def start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
     """Gives `shadow` the geom's shape and the colour of ambient light."""
     color = np.array(_SHADOW_RGBA, dtype=np.float32)
     mujoco.mjv_initGeom(shadow, geom.type, np.ones(3), _ZERO, _UPRIGHT, color)
@@ -348,6 +338,7 @@ def _start_shadow(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
     shadow.emission, shadow.specular, shadow.shininess = 0.6, 0.0, 0.0
 
 
-def _flatten(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+def flatten(geom: mujoco.MjvGeom, shadow: mujoco.MjvGeom) -> None:
+    """Poses `shadow` on the ground, along the light from the geom."""
     shadow.pos[:] = _FLATTEN @ geom.pos + _SHADOW_HEIGHT
     shadow.mat[:] = _FLATTEN @ geom.mat

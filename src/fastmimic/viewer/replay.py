@@ -1,12 +1,11 @@
 """What was run before, for the viewer: a report's episodes, and deployments."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.errors import DeploymentError
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
@@ -14,6 +13,7 @@ from fastmimic.deploy.deployment import score_log
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
+from fastmimic.render.tracks import poses_of
 from fastmimic.robot import Robot
 from fastmimic.viewer.take import Take, cycle_rows, rollout_take
 from fastmimic.viewer.viewer import recorded_page, require_viser
@@ -54,7 +54,7 @@ def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
         robot,
         f"deployed by driver {log.meta['driver']}",
         log.rate_hz,
-        _poses(seen),
+        poses_of(seen),
         rows["stance"],
         np.zeros(len(at), np.int64),
         np.zeros(1, np.int64),
@@ -85,13 +85,8 @@ def _scored(take: Take, at: NDArray[np.int64], log: DeploymentLog, config: Contr
         wanted=np.where(moving[:, None], score.demonstration["contact"][due].astype(bool), take.wanted),
         samples=samples,
         cycle_starts=cycle_rows(log.motion.target, samples),
-        reference=_poses(score.demonstration)[due],
+        reference=poses_of(score.demonstration)[due],
         caption=f"reward {score.rollout.reward[0]:.2f}, {take.caption}",
         terms=terms,
         reward=terms @ reward_weights(),
     )
-
-
-def _poses(states: NDArray[Any]) -> Array:
-    """(t, 19) root position, quaternion and joints."""
-    return np.hstack([states["root_pos"], states["root_quat"], states["joint_pos"]])

@@ -112,7 +112,7 @@ def rollout_take(
         log.wanted[episode],
         samples,
         cycle_rows(motion.target, samples),
-        held(track.ghost.pose),
+        held(track.ghost),
         caption=track.caption,
         measured=track.contact,
         stance=log.stance[episode],
