@@ -5,7 +5,8 @@ import base64
 import gzip
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from fastmimic import __version__
 from fastmimic.base.arrays import Array, stretches
-from fastmimic.base.errors import ConfigError, OutputError
+from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.files import packaged, write_text
 from fastmimic.base.machine import optional
 from fastmimic.base.text import NONE
@@ -229,6 +230,15 @@ def render(
         return HtmlReport(_environment().get_template(template).render(**shared, **data), tuple(missing))
     except jinja2.UndefinedError as error:
         raise ConfigError(f"{title}: the folder's files hold other values than were written ({error})") from None
+
+
+@contextmanager
+def leaving_out(what: str, missing: list[str]) -> Iterator[None]:
+    """Leaves out of the page what the block cannot read or make, and adds a sentence that says so."""
+    try:
+        yield
+    except FastMimicError as error:
+        missing.append(f"{error}: without {what}")
 
 
 def plotly_bundle() -> str:

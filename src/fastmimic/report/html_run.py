@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import CheckpointError, ConfigError, FastMimicError, naming
+from fastmimic.base.errors import CheckpointError, ConfigError, naming
 from fastmimic.base.files import read_json
 from fastmimic.base.text import NONE
 from fastmimic.control.config import ControllerConfig
@@ -90,16 +90,6 @@ class RerunEpisodes:
         return [draw.rule(border, x=s / self.log.rate_hz, width=1) for s in self.motion.target.segment_starts if s]
 
 
-@dataclass(frozen=True, eq=False)
-class RunData:
-    metrics: dict[str, Any]
-    config: dict[str, Any]
-    search: Checkpoint | None  # None if nothing was optimised or it is missing
-    episodes: RerunEpisodes | None  # None if they cannot be simulated again
-    video: Path | None
-    missing: tuple[str, ...]  # a sentence for each missing thing and what is left out
-
-
 class _Figures(msgspec.Struct):
     """What a page needs of `metrics.json`."""
 
@@ -111,38 +101,60 @@ class _Figures(msgspec.Struct):
     duration_s: float
 
 
-def read_run(path: Path) -> RunData:
-    """Reads a run's folder and simulates its episodes again; raises `ConfigError` if `metrics.json` is unusable."""
-    metrics = read_json(path / METRICS)
+def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlReport:
+    """The page of a run's folder, whose episodes are simulated again; `replay` makes an HTML page that plays them.
+    Raises `ConfigError`, also if `metrics.json` is unusable."""
+    draw.plotly_bundle()  # before the episodes: without it there is no page
+    m = read_json(path / METRICS)
     try:
-        msgspec.convert(metrics, _Figures)
+        msgspec.convert(m, _Figures)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{path / METRICS}: not the figures of a run ({error})") from None
     missing: list[str] = []
     config: dict[str, Any] = {}
-    try:
-        config = read_json(path / CONFIG)
-        if not isinstance(config.get("arguments", {}), dict):
-            raise ConfigError(f"{path / CONFIG}: not the settings of a run (arguments: {config['arguments']})")
-    except ConfigError as error:
-        config = {}
-        missing.append(f"{error}: without arguments and controller, and without the plots of the episodes")
-    search = None
-    if metrics["parameters"]:
-        try:
-            search = _search(RunFolder(path).checkpoint, len(metrics["parameters"]))
-        except ConfigError as error:
-            missing.append(f"{error}: without the plot of the optimisation")
-    episodes = None
+    search, episodes, played = None, None, ""
+    with draw.leaving_out("arguments and controller, and without the plots of the episodes", missing):
+        config = _config(path)
+    if m["parameters"]:
+        with draw.leaving_out("the plot of the optimisation", missing):
+            search = _search(RunFolder(path).checkpoint, len(m["parameters"]))
     if config:
-        try:
-            episodes = _run_again(path, metrics, config)
-        except FastMimicError as error:
-            missing.append(f"{error}: without the plots of the episodes")
+        with draw.leaving_out("the plots of the episodes", missing):
+            episodes = _run_again(path, m, config)
     video = path / VIDEO if (path / VIDEO).is_file() else None
     if video is None and not config.get("arguments", {}).get("no_video"):
         missing.append(f"{path / VIDEO} is missing: without the video")
-    return RunData(metrics, config, search, episodes, video, tuple(missing))
+    if replay is not None and episodes is not None:
+        with draw.leaving_out("the replay in 3D", missing):
+            played = replay(episodes)
+    sections, controller = _sections(m, search, episodes), config.get("controller")
+    source, licence = config.get("source"), config.get("licence")
+    about = {"motion": m["motion"], "robot": m["robot"]}
+    if isinstance(source, dict):
+        about |= {k: v for k, v in source.items() if isinstance(v, str | int | float)}
+    return render(
+        "run.html",
+        [figure for found in sections.values() for figure in found],
+        title=f"{m['motion']} on {m['robot']}",
+        missing=missing,
+        replay=played,
+        m=m,
+        e=episodes,
+        shown=_Metrics(m),
+        video=video,
+        sections=sections,
+        arguments=draw.said_arguments(config.get("arguments", {})),
+        about=about | ({"licence": licence} if licence else {}),
+        controller=json.dumps(controller, indent=2, ensure_ascii=False) if controller else "",
+        legs=LEGS,
+    )
+
+
+def _config(path: Path) -> dict[str, Any]:
+    config = read_json(path / CONFIG)
+    if not isinstance(config.get("arguments", {}), dict):
+        raise ConfigError(f"{path / CONFIG}: not the settings of a run (arguments: {config['arguments']})")
+    return config
 
 
 def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> RerunEpisodes:
@@ -178,39 +190,6 @@ def _search(path: Path, parameters: int) -> Checkpoint:
     return found
 
 
-def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlReport:
-    """The page of a run's folder; `replay` makes an HTML page that plays its episodes. Raises `ConfigError`."""
-    draw.plotly_bundle()  # before the episodes: without it there is no page
-    run = read_run(path)
-    missing, played = [*run.missing], ""
-    if replay is not None and run.episodes is not None:
-        try:
-            played = replay(run.episodes)
-        except FastMimicError as error:
-            missing.append(f"{error}: without the replay in 3D")
-    m, sections, controller = run.metrics, _sections(run), run.config.get("controller")
-    source, licence = run.config.get("source"), run.config.get("licence")
-    about = {"motion": m["motion"], "robot": m["robot"]}
-    if isinstance(source, dict):
-        about |= {k: v for k, v in source.items() if isinstance(v, str | int | float)}
-    return render(
-        "run.html",
-        [figure for found in sections.values() for figure in found],
-        title=f"{m['motion']} on {m['robot']}",
-        missing=missing,
-        replay=played,
-        m=m,
-        e=run.episodes,
-        shown=_Metrics(m),
-        video=run.video,
-        sections=sections,
-        arguments=draw.said_arguments(run.config.get("arguments", {})),
-        about=about | ({"licence": licence} if licence else {}),
-        controller=json.dumps(controller, indent=2, ensure_ascii=False) if controller else "",
-        legs=LEGS,
-    )
-
-
 class _Metrics:
     """The figures of `metrics.json` for the page, with name and exact value as data."""
 
@@ -241,18 +220,12 @@ class _Metrics:
         return Markup("{:.0f} <small>%</small>").format(100 * min(shares)) if shares else NONE
 
 
-def _sections(run: RunData) -> dict[str, list[Figure]]:
-    m, e, optimisation = run.metrics, run.episodes, []
-    if run.search is not None:
-        optimisation.append(
-            convergence(
-                run.search,
-                m["reward"]["before"],
-                m["reward"]["after"],
-                unchanged=as_fitted(m["parameters"]),
-                randomized="randomization" in m,
-            )
-        )
+def _sections(m: Mapping[str, Any], search: Checkpoint | None, e: RerunEpisodes | None) -> dict[str, list[Figure]]:
+    optimisation = []
+    if search is not None:
+        fitted, randomized = as_fitted(m["parameters"]), "randomization" in m
+        rewards = m["reward"]["before"], m["reward"]["after"]
+        optimisation.append(convergence(search, *rewards, unchanged=fitted, randomized=randomized))
     if m["parameters"]:
         optimisation.append(parameters(m["parameters"]))
     sections: dict[str, list[Figure]] = {"optimisation": optimisation}
