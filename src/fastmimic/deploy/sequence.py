@@ -259,7 +259,7 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
                 f"motion '{motion.name}' does not repeat and lasts {motion.period_s:.2f} s, too short to be entered"
                 f" from standing and left again; choose a passage of {LEAST_S:g} s or more"
             )
-        return [first_stride(motion), last_stride(motion)]
+        return [_stride(motion, 0, 1), _stride(motion, motion.n_samples - 1, -1)]
     segments = Layout.of(motion.target).segments
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
 
@@ -277,32 +277,20 @@ def _way(library: MotionSet, start: str, goal: str) -> list[CourseTransition]:
     return hops
 
 
-def first_stride(motion: Motion) -> tuple[Motion, int]:
-    """The beginning of a passage as a cycle, and the sample at which it begins: until joints and contacts are about as
-    near to those at its start as they come; its first pose, if it begins at rest."""
-    rest = round(_RESTS_S * motion.rate_hz)
-    if motion.contact[:rest].all():
-        return _as_cycle(motion, 0, rest), 0
-    return _as_cycle(motion, 0, _stride(motion, 0, 1)), 0
-
-
-def last_stride(motion: Motion) -> tuple[Motion, int]:
-    """Likewise its end."""
-    rest, last = round(_RESTS_S * motion.rate_hz), motion.n_samples - 1
-    if motion.contact[-rest:].all():
-        return _as_cycle(motion, last - rest, rest), last - rest
-    n = _stride(motion, last, -1)
-    return _as_cycle(motion, last - n, n), last - n
-
-
-def _stride(motion: Motion, start: int, way: int) -> int:
-    """Samples from `start`, forwards or backwards, to the first pose that is nearly as near to it as any."""
-    least, most = (round(s * motion.rate_hz) for s in _STRIDES_S)
-    most = min(most, motion.n_samples - 1)
-    at = start + way * np.arange(min(least, most), most + 1)
-    apart = np.linalg.norm(motion.joint_pos[at] - motion.joint_pos[start], axis=1)
-    apart += (motion.contact[at] != motion.contact[start]).sum(axis=1)
-    return int(abs(at[int(np.argmax(apart <= _NEARLY * apart.min()))] - start))
+def _stride(motion: Motion, start: int, way: int) -> tuple[Motion, int]:
+    """The beginning of a passage (`way` 1 from its first sample) or its end (-1 from its last) as a cycle, and the
+    sample at which that begins: until joints and contacts are about as near to those at `start` as they come; the pose
+    there, if the robot rests."""
+    n = round(_RESTS_S * motion.rate_hz)
+    if not motion.contact[::way][:n].all():
+        least, most = (round(s * motion.rate_hz) for s in _STRIDES_S)
+        most = min(most, motion.n_samples - 1)
+        at = start + way * np.arange(min(least, most), most + 1)
+        apart = np.linalg.norm(motion.joint_pos[at] - motion.joint_pos[start], axis=1)
+        apart += (motion.contact[at] != motion.contact[start]).sum(axis=1)
+        n = int(abs(at[int(np.argmax(apart <= _NEARLY * apart.min()))] - start))
+    first = start if way > 0 else start - n
+    return _as_cycle(motion, first, n), first
 
 
 def _as_cycle(motion: Motion, first: int, n: int) -> Motion:

@@ -20,6 +20,7 @@ from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import Simulation, make_simulation
 
 STARTS: Final = ("lying", "standing")
+_RATE_HZ: Final = 500.0  # of the states
 WATCHDOG_S: Final = 0.02  # without a command for longer, the motors only damp
 _SETTLE_S: Final = 0.5
 _MOVE_S: Final = 1.5  # for standing up or lying down
@@ -243,23 +244,22 @@ class SimDriver(RobotDriver):
         robot: Robot,
         clock: LoopClock | None = None,
         *,
-        rate_hz: float = 500.0,
         conditions: Conditions | None = None,
         faults: LinkFaults | None = None,
         start: str = "lying",
     ) -> None:
-        """`clock` is a virtual one if None; `rate_hz` that of the states; `conditions` the sensors, world and seed;
-        `faults` those of the link in both directions; `start` "lying" or "standing". Raises `ConfigError` for another
-        start, and for conditions that the simulator cannot realise."""
+        """`clock` is a virtual one if None; `conditions` the sensors, world and seed; `faults` those of the link in
+        both directions; `start` "lying" or "standing". Raises `ConfigError` for another start, and for conditions that
+        the simulator cannot realise."""
         super().__init__(robot)
         self._clock: LoopClock = clock if clock is not None else VirtualClock()
         self._conditions = chosen = conditions if conditions is not None else Conditions(observe="sensors")
         self._faults = faults if faults is not None else LinkFaults()
-        self._dt = 1.0 / rate_hz
-        simulation = make_simulation(robot, 1, chosen, control_rate_hz=rate_hz)
+        self._dt = 1.0 / _RATE_HZ
+        simulation = make_simulation(robot, 1, chosen, control_rate_hz=_RATE_HZ)
         world = make_world(chosen.disturbances, 1, chosen.simulator)
-        sensors = Sensors(robot, 1, rate_hz, chosen.sensors, world)
-        self.body = SimulatedBody(robot, simulation, sensors, rate_hz, start)
+        sensors = Sensors(robot, 1, _RATE_HZ, chosen.sensors, world)
+        self.body = SimulatedBody(robot, simulation, sensors, _RATE_HZ, start)
         self._truth: list[NDArray[Any]] = []
 
     def truth_at(self, sequence: NDArray[np.int64]) -> NDArray[Any]:

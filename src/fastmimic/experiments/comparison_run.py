@@ -8,11 +8,11 @@ from the same perturbed starts (`reward_mean_perturbed`, `reward_std_perturbed`)
 import json
 import re
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from fastmimic.runs.work_folder import CHECKPOINT, ENVIRONMENT, MOTION, MOTIONS,
 if TYPE_CHECKING:
     from fastmimic.learning.policy import Policy
 
+Kind = TypeVar("Kind")
 ROW: Final = "row.json"
 TRACKING: Final = "tracking.npz"
 POLICY: Final = "policy.npz"
@@ -210,17 +211,18 @@ def perform(task: RunTask, report: Report) -> Row:
     return row
 
 
+def read_part(path: Path, kind: Callable[[Any], Kind]) -> Kind:
+    """What `kind` makes of a finished part's JSON; raises `OutputError` if it is damaged or missing."""
+    try:
+        return kind(from_json(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None
+
+
 def finished_row(folder: Path) -> Row | None:
     """The row of a finished run, or None; raises `OutputError` if its file is damaged."""
     path = folder / ROW
-    try:
-        row = dict(from_json(path.read_text(encoding="utf-8")))
-        run_of(row)
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None
-    return row
+    return read_part(path, lambda row: dict(row) | asdict(run_of(row))) if path.is_file() else None
 
 
 def finished_rows(out: Path) -> dict[str, Row]:

@@ -8,12 +8,12 @@ from typing import Any, Final
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.base.files import from_json, write_text
+from fastmimic.base.files import write_text
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.episode.rollout import Rollout
-from fastmimic.experiments.comparison_run import Row, check_unique, slug
+from fastmimic.experiments.comparison_run import Row, check_unique, read_part, slug
 from fastmimic.experiments.measurement import searched
 from fastmimic.imitation.methods import Method, check_controller, method_named
 from fastmimic.motion.motion import Motion
@@ -119,8 +119,4 @@ def all_parts(folder: Path) -> list[Row]:
 
 
 def _read(path: Path) -> tuple[str, list[Row]]:
-    try:
-        found = from_json(path.read_text(encoding="utf-8"))
-        return str(found["digest"]), [dict(row) for row in found["rows"]]
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise OutputError(f"{path}: cannot be read ({error}); remove it, and --resume makes it anew") from None
+    return read_part(path, lambda found: (str(found["digest"]), [dict(row) for row in found["rows"]]))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.machine import optional
 from fastmimic.robot import Robot
 from fastmimic.viewer.panel import ViewerPanel
 from fastmimic.viewer.scene import LAYERS, animal_aside, line_up
@@ -65,10 +66,7 @@ def free_port(port: int, tries: int = PORTS_TRIED) -> int:
 
 def require_viser() -> None:
     """Raises `ConfigError` with advice if viser is not installed, or too old."""
-    try:
-        import viser
-    except ImportError:
-        raise ConfigError("the viewer needs viser: pip install 'fastmimic[view]'") from None
+    viser = optional("viser", ConfigError("the viewer needs viser: pip install 'fastmimic[view]'"))
     if not hasattr(viser.GuiApi, "add_panel"):
         raise ConfigError(f"viser {viser.__version__} is too old: pip install --upgrade 'fastmimic[view]'")
 
