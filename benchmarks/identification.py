@@ -17,7 +17,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout, run_log
 from fastmimic.episode.run_log import RunLog
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.experiments.transfer import ACTUATORS, trial_starts
+from fastmimic.experiments.transfer import STAGES, trial_starts
 from fastmimic.identification.identify import Identification, identify
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
@@ -30,12 +30,13 @@ PAYLOADS = (0.0, 1.0, 2.0, 3.0, 5.0)
 SLIPPERY = (0.4, 0.5, 0.6)
 RUN_S = 5.0
 SIDE_STEPS = "anim:side-steps"
+MOTORS = tuple(d for d in STAGES[-1].disturbances if d.name != "friction")
 
 
 def conditions(simulator: str, **disturbances: float) -> Conditions:
     """With sensors; PyBullet with the motors of the transfer's last stage."""
     own = tuple(Disturbance(name, (value,)) for name, value in disturbances.items())
-    return Conditions(simulator, "sensors", 0, (*ACTUATORS, *own) if simulator == "pybullet" else own)
+    return Conditions(simulator, "sensors", 0, (*MOTORS, *own) if simulator == "pybullet" else own)
 
 
 def logged(robot: Robot, motion: Motion, where: Conditions) -> RunLog:

@@ -15,7 +15,6 @@ from fastmimic.experiments.experiment import Subject, make_subject
 from fastmimic.experiments.transfer import (
     COLUMNS,
     IDENTIFIED,
-    SIMULATION,
     STAGES,
     TransferSettings,
     identified_config,
@@ -53,7 +52,7 @@ class TestTrials:
     ) -> None:
         start = trial_starts(2, SETTINGS.seed)
         plain = run_episodes(robot, subject.motion, start=start, duration_s=0.6, config=subject.config)
-        assert [row["reward_mean"] for row in rows if row["stage"] == SIMULATION] == plain.reward.tolist()
+        assert [row["reward_mean"] for row in rows if row["stage"] == STAGES[0].name] == plain.reward.tolist()
 
     def test_the_last_stage_differs_in_everything(self) -> None:
         last = STAGES[-1]

@@ -15,6 +15,7 @@ import numpy as np
 
 from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import LogError
+from fastmimic.base.files import packaged
 from fastmimic.base.text import markdown_table
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.metrics import Metrics
@@ -27,7 +28,6 @@ from fastmimic.identification.identify import identify
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance
-from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR
 
 _LOG: Final = logging.getLogger(__name__)
 PARTS: Final = "trials"
@@ -52,31 +52,14 @@ class TransferStage:
         return ", ".join([self.simulator, self.observe, *map(str, self.disturbances)])
 
 
-ACTUATORS: Final = (
-    Disturbance("delay", (0.002,)),
-    Disturbance("joint-friction", (0.2,)),
-    Disturbance("joint-damping", (0.02,)),
-)
-"""The motors of the last stage: values of the magnitude measured on robots of this class, not identified on one."""
-FLOOR: Final = Disturbance("friction", (0.6,))
-
-SIMULATION: Final = "simulation"
-STAGES: Final = (
-    TransferStage(SIMULATION, "as optimised", FIRST_SIMULATOR, "truth"),
-    TransferStage("sensors", "(a) sensors", FIRST_SIMULATOR, "sensors"),
-    TransferStage("engine", "(b) PyBullet", SECOND_SIMULATOR, "truth"),
-    TransferStage("robot", "(c) all", SECOND_SIMULATOR, "sensors", (*ACTUATORS, FLOOR)),
-)
-"""From the simulator of the optimisation to a robot that differs in everything."""
-
+STAGES: Final = packaged("fastmimic.experiments", "stages.json", tuple[TransferStage, ...])
+"""From the simulator of the optimisation to a robot that differs in everything: its motors by values of the magnitude
+measured on robots of this class, not identified on one."""
 IDENTIFIED: Final = replace(STAGES[-1], name="identified", label="(c) identified")
 """The last stage, with friction and payload identified from a run in it."""
 IDENTIFICATION_S: Final = 5.0  # s, length of that run
 
-PAPER: Final = (
-    ("MBC-DMP", 0.803, 0.012, 0.627, 0.096),
-    ("RL", 0.483, 0.195, 0.17, 0.095),
-)
+PAPER: Final = ("MBC-DMP", 0.803, 0.012, 0.627, 0.096), ("RL", 0.483, 0.195, 0.17, 0.095)
 """The paper's turn: method, reward and its deviation in simulation, then on the robot over three trials."""
 
 

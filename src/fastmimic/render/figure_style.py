@@ -23,11 +23,14 @@ STANCE: Final = "#e9e9e6"
 LIMIT: Final = "#b03060"
 
 
+Dash = str | tuple[float, tuple[float, ...]]
+
+
 class Line(NamedTuple):
     """Colour and dash pattern of a series, as `Axes.plot` names them."""
 
     color: str
-    linestyle: Any
+    linestyle: Dash
     linewidth: float
 
 

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import OutputError
-from fastmimic.base.files import UNREADABLE, open_arrays, remove_file
+from fastmimic.base.files import UNREADABLE, open_arrays, packaged, remove_file
 from fastmimic.base.text import csv_text
 from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments import stress, transfer
@@ -25,7 +25,7 @@ from fastmimic.experiments.experiment import all_parts, part_file
 from fastmimic.experiments.measurement import COLUMNS, Summary, ablation_table, comparison_table, summaries
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.render import figure_style as style
-from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED, Line
+from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.terrain import TERRAINS
@@ -43,14 +43,8 @@ TRANSFER_FIGURE: Final = "transfer.png"
 STRESS_FILES: Final = (RESULTS_CSV, TABLE, SUCCESS_FIGURE, REWARD_FIGURE)
 TRANSFER_FILES: Final = (RESULTS_CSV, TABLE, TRANSFER_FIGURE)
 
-_LINES: Final = (  # Okabe and Ito's colours, each with a dash pattern and a marker of its own
-    (Line("#0072b2", "solid", 1.7), "o"),
-    (Line("#d55e00", (0, (5, 1.6)), 1.7), "s"),
-    (Line("#009e73", (0, (1.5, 1.2)), 1.7), "^"),
-    (Line("#cc79a7", (0, (6, 1.5, 1.5, 1.5)), 1.7), "v"),
-    (Line("#e69f00", (0, (3, 1)), 1.7), "D"),
-    (Line("#56b4e9", (0, (1, 1)), 1.7), "x"),
-)
+_LINES: Final = packaged("fastmimic.report", "lines.json", tuple[tuple[str, style.Dash, str], ...])
+"""Okabe and Ito's colours, each with a dash pattern and a marker of its own."""
 _COLUMNS: Final = 4
 _CURVES: Final = {"fell": "episodes without a fall", "reward_mean": "mean reward"}
 _COLORS: Final = (("#0072b2", ""), ("#56b4e9", "//"), ("#e69f00", "\\\\"), ("#d55e00", "xx"), ("#009e73", ".."))
@@ -283,10 +277,11 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
     beyond = 1.2 * max(finite)  # where a value without bound is drawn
     for i, method in enumerate(methods):
         own = sorted((row for row in rows if row["method"] == method), key=lambda row: float(row["value"]))
-        line, marker = _LINES[i % len(_LINES)]
+        color, dash, marker = _LINES[i % len(_LINES)]
         x = [min(row["value"], beyond) for row in own]
         y = [1.0 - row[curve] if curve == "fell" else row[curve] for row in own]
-        axes.plot(x, y, **line._asdict(), marker=marker, markersize=4, label=method_named(method).label, zorder=3)
+        look: dict[str, Any] = {"color": color, "linestyle": dash, "linewidth": 1.7, "marker": marker, "markersize": 4}
+        axes.plot(x, y, **look, label=method_named(method).label, zorder=3)
     axes.axvline(
         min(kind.nominal, beyond), color=MUTED, linewidth=0.9, linestyle=(0, (3, 2)), label="nominal value", zorder=1
     )

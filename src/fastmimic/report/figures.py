@@ -15,9 +15,10 @@ from scipy.ndimage import uniform_filter1d
 
 from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.base.files import packaged
 from fastmimic.base.rotations import roll_pitch_from_quat
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.segment import DISCRETE, STAND, TURN, Segment, SegmentConfig, take_of
+from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, take_of
 from fastmimic.episode.feasibility import SAMPLE_S, use_of_limits
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.measurement import foot_courses, shown_window
@@ -32,18 +33,7 @@ from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
-_GAIT_COLORS: Final = {
-    "walk": "#56b4e9",
-    "trot": "#0072b2",
-    "pace": "#009e73",
-    "canter": "#e69f00",
-    "gallop": "#d55e00",
-    "bound": "#cc79a7",
-    TURN: "#f0e442",
-    STAND: STANCE,
-    DISCRETE: "#ffffff",
-}
-
+_GAIT_COLORS: Final = packaged("fastmimic.report", "gait_colors.json", dict[str, str])
 _AT_LIMIT: Final = 0.9
 _ANIMAL: Final[dict[str, Any]] = {"color": MUTED, "linewidth": 1.0, "alpha": 0.55}
 
