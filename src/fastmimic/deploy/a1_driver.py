@@ -29,7 +29,6 @@ class A1Driver(RobotDriver):
     checksums and reports no lost states: `packets.lost` stays 0."""
 
     _interface: Any = None
-    _sequence = -1
 
     def _connect(self) -> None:
         """Raises `DriverError` also without the binding, or for another module of that name."""
@@ -38,7 +37,7 @@ class A1Driver(RobotDriver):
             self._interface = interface(LOW_LEVEL)
         except TypeError:  # the older binding has only low-level control
             self._interface = interface()
-        self._sequence, self._command = -1, np.zeros(60, np.float32)
+        self._command = np.zeros(60, np.float32)
         self._await_state()
         self.packets = Packets()
 
@@ -52,12 +51,10 @@ class A1Driver(RobotDriver):
             return None  # no new state
         reading = _reading(state)
         norm = float(np.linalg.norm(reading["quat"]))
-        if tick < self._sequence or not np.isfinite(reading.view(np.float64)).all() or not 0.9 < norm < 1.1:
-            self.packets.rejected += 1
+        good = bool(np.isfinite(reading.view(np.float64)).all()) and 0.9 < norm < 1.1
+        if not self._count(tick, good=good, step=0):
             return None
         reading["quat"] /= norm
-        self._sequence = tick
-        self.packets.received += 1
         return StateMessage(reading, tick, self._now())
 
     def _send(self, command: NDArray[Any]) -> bool:

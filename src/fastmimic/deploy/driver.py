@@ -65,11 +65,12 @@ class RobotDriver(ABC):
         `say` takes lines on progress while it opens; `timeout_s` is that of the first state."""
         self._robot, self._release, self._say, self._timeout_s = robot, release, say, timeout_s
         self.packets = Packets()
+        self._sequence = -1  # of the last accepted state
 
     def open(self) -> None:
         """Connects and waits for the first state. Sends no command. Raises `DriverError` for whatever a user can
         correct: a missing extra, an unknown interface, another robot, no state within `timeout_s`."""
-        self.packets = Packets()
+        self.packets, self._sequence = Packets(), -1
         try:
             self._connect()
         except BaseException:
@@ -93,6 +94,18 @@ class RobotDriver(ABC):
             raise DriverError("a command that is not finite was not sent to the motors")
         if self._send(command):
             self.packets.sent += 1
+
+    def _count(self, sequence: int, *, good: bool, step: int) -> bool:
+        """Counts a state of this number; returns whether it is good and newer than the last one. Numbers grow by `step`
+        from state to state; 0 if that is not known."""
+        if not good or sequence <= self._sequence:
+            self.packets.rejected += 1
+            return False
+        if step and self._sequence >= 0:
+            self.packets.lost += max(0, (sequence - self._sequence) // step - 1)
+        self._sequence = sequence
+        self.packets.received += 1
+        return True
 
     def _now(self) -> float:
         return time.perf_counter()

@@ -11,7 +11,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError
 from fastmimic.deploy.computer import LoopClock, VirtualClock
-from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, damping_command
+from fastmimic.deploy.driver import RobotDriver, StateMessage, damping_command
 from fastmimic.reference.standing import rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, READING
@@ -171,6 +171,11 @@ class Packet(NamedTuple):
     intact: bool
     content: bytes
 
+    def record(self, kind: np.dtype[Any]) -> tuple[NDArray[Any], bool]:
+        """The record (1,), and whether it is undamaged and finite."""
+        found = np.frombuffer(bytearray(self.content), kind)
+        return found, self.intact and bool(np.isfinite(found.view(np.float64)).all())
+
 
 class SimulatedLink:
     """One direction of a link; counts the messages `lost` and `corrupted`."""
@@ -213,28 +218,6 @@ class SimulatedLink:
         return found
 
 
-class Receiver:
-    """Accepts packets that are intact and newer than the last one; `packets` counts all, with `sent` the sender's."""
-
-    def __init__(self, dtype: np.dtype[Any], packets: Packets | None = None) -> None:
-        self._dtype = dtype
-        self.packets = packets if packets is not None else Packets()
-        self._last: int | None = None
-
-    def take(self, packet: Packet) -> StateMessage | None:
-        """The record of a packet; None if it is rejected."""
-        record = np.frombuffer(bytearray(packet.content), self._dtype)
-        newer = self._last is None or packet.sequence > self._last
-        if not (packet.intact and newer and np.isfinite(record.view(np.float64)).all()):
-            self.packets.rejected += 1
-            return None
-        if self._last is not None:
-            self.packets.lost += packet.sequence - self._last - 1
-        self._last = packet.sequence
-        self.packets.received += 1
-        return StateMessage(record, packet.sequence, packet.arrival)
-
-
 class SimDriver(RobotDriver):
     """One simulated robot, which advances to the clock's time when it is read: in lock step with a `VirtualClock`, in
     real time with a `LoopClock`. The steps of its `body` are the sequence numbers of the states."""
@@ -270,7 +253,7 @@ class SimDriver(RobotDriver):
         """Puts the robot at its start and sends its first state."""
         self._states = SimulatedLink(self._faults, self._dt, 0)
         self._commands = SimulatedLink(self._faults, self._dt, 1)
-        self._from_robot, self._at_robot = Receiver(READING, self.packets), Receiver(COMMAND)
+        self._obeyed = -1  # number of the last command
         reading = self.body.reset(episode_generator(self._conditions.seed, 0, _SENSORS))
         self._truth = [self.body.observation.copy()]
         self._epoch = self._now()
@@ -297,16 +280,18 @@ class SimDriver(RobotDriver):
         while self._epoch + (self.body.steps + 1) * self._dt <= now + 1e-9:
             self._advance(self._epoch + self.body.steps * self._dt)
         for packet in self._states.arrived(now):
-            newest = self._from_robot.take(packet) or newest
+            reading, good = packet.record(READING)
+            if self._count(packet.sequence, good=good, step=1):
+                newest = StateMessage(reading, packet.sequence, packet.arrival)
         return newest
 
     def _advance(self, began: float) -> None:
         """Simulates a control period with the commands that have arrived at its beginning."""
         for packet in self._commands.arrived(began):
-            taken = self._at_robot.take(packet)
-            if taken is not None:
-                self.body.service.active = False
-                self.body.obey(taken.reading)
+            command, good = packet.record(COMMAND)
+            if good and packet.sequence > self._obeyed:
+                self._obeyed, self.body.service.active = packet.sequence, False
+                self.body.obey(command)
         self.body.step()
         self._truth.append(self.body.observation.copy())
         self._states.send(began + self._dt, self.body.steps, self.body.measure())

@@ -43,7 +43,7 @@ class Go2Driver(RobotDriver):
         self._command.clear()
         self._state = messages.StateWire(self._reader.samples)
         self._checked = self._counted = True
-        self._sequence, self._publisher = -1, 0
+        self._publisher = 0
         self._await_states(participant)
         if self._release:
             messages.release_motion_service(participant, self._lies, self._say)
@@ -69,17 +69,12 @@ class Go2Driver(RobotDriver):
 
     def _accept(self, i: int, state: messages.Received) -> bool:
         """Whether state i is good and new; counts it."""
-        packets, publisher = self.packets, int(self._reader.publication[i])
-        tick = state.tick if self._counted else self._sequence + 1
+        publisher, first = int(self._reader.publication[i]), self._sequence < 0
         intact = state.sound and (not self._checked or state.checksum == state.expected)
-        first = self._sequence < 0
-        if not intact or (not first and publisher != self._publisher) or tick <= self._sequence:
-            packets.rejected += 1
+        tick, step = (state.tick, messages.TICKS_PER_STATE) if self._counted else (self._sequence + 1, 0)
+        if not self._count(tick, good=intact and (first or publisher == self._publisher), step=step):
             return False
-        if self._counted and not first:
-            packets.lost += max(0, (tick - self._sequence) // messages.TICKS_PER_STATE - 1)
-        self._sequence, self._publisher = tick, publisher
-        packets.received += 1
+        self._publisher = publisher
         return True
 
     def _wait(self, most_s: float) -> None:
