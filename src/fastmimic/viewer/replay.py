@@ -1,7 +1,7 @@
 """What was run before, for the viewer: a report's episodes, and deployments."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,16 +15,21 @@ from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.tracks import poses_of
 from fastmimic.robot import Robot
+from fastmimic.viewer.scene import LAYERS, line_up
 from fastmimic.viewer.take import Take, cycle_rows, rollout_take
-from fastmimic.viewer.viewer import recorded_page, require_viser
+from fastmimic.viewer.viewer import FRAMES_PER_S, Cameras, WebPage
 
 if TYPE_CHECKING:
     from fastmimic.report.html_run import RerunEpisodes
 
+SHOWN: Final = ("ghost", "contacts", "paths")  # layers of a recording at first; its scene tree switches others on
+LONGEST_S: Final = 10.0
+
 
 def recorded(e: "RerunEpisodes") -> str:
-    """A page with a 3D replay, before and after side by side; raises `ConfigError` if viser is missing or too old."""
-    require_viser()
+    """One self-contained page, viser's client and a recording of its scene, with the robot before and after side by
+    side. They repeat their episodes, up to `LONGEST_S`; the shorter one stays at its end. While recording, a server
+    runs on loopback. Raises `ConfigError` as `WebPage`."""
     shown = [("robot", "", e.motion.target, e.before)]
     if e.after is not None:
         shown = [
@@ -32,7 +37,26 @@ def recorded(e: "RerunEpisodes") -> str:
             ("after", "after: optimised", e.motion, e.after),
         ]
     takes = [rollout_take(rollout, motion, e.robot, e.config, title) for _, title, motion, rollout in shown]
-    return recorded_page(e.robot, takes, [name for name, *_ in shown])
+    names = [name for name, *_ in shown]  # in the scene tree
+    with WebPage() as page:
+        server = page.server
+        robots = line_up(server, takes, names=names)
+        for name, scene in zip(names, robots, strict=True):
+            for layer in LAYERS:
+                scene.set_layer(layer, layer in SHOWN)
+            # the robot stays in its place: its title need not move, which labels do late on a slow machine
+            above = (0.0, scene.aside, e.robot.home_height + 0.6 * e.robot.leg_length)
+            server.scene.add_label(f"/title/{name}", scene.take.title, position=above, anchor="bottom-center")
+        Cameras(server, e.robot, [scene.aside for scene in robots], float(takes[0].heading[0]))
+        rate_hz = takes[0].rate_hz
+        last = min(max(take.rows for take in takes), round(LONGEST_S * rate_hz))
+        stride = max(1, round(rate_hz / FRAMES_PER_S))
+        serializer = server.get_scene_serializer()
+        for row in range(0, last, stride):
+            for scene in robots:
+                scene.show(row, follow=True)
+            serializer.insert_sleep(stride / rate_hz)
+        return str(serializer.as_html())
 
 
 def deployment_take(robot: Robot, log: DeploymentLog) -> Take:

@@ -1,4 +1,4 @@
-"""The viewer: its server with the browsers' cameras; takes, played back in a browser, or recorded as one HTML page."""
+"""The viewer: its server with the browsers' cameras, and takes, played back in a browser."""
 
 import contextlib
 import errno
@@ -23,7 +23,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import optional
 from fastmimic.robot import Robot
 from fastmimic.viewer.panel import ViewerPanel
-from fastmimic.viewer.scene import LAYERS, animal_aside, line_up
+from fastmimic.viewer.scene import animal_aside, line_up
 
 if TYPE_CHECKING:
     import viser
@@ -38,8 +38,6 @@ FRAMES_PER_S: Final = 30.0
 _FOV_RAD: Final = 0.7
 _SETTLE_S: Final = 10.0
 _PORTRAIT: Final = 0.7  # width over height of a picture that a phone shows
-SHOWN: Final = ("ghost", "contacts", "paths")  # layers of a recording at first; its scene tree switches others on
-LONGEST_S: Final = 10.0
 Repeat = Literal["all", "cycle", "off"]
 _CHARTS_PER_S: Final = 8.0
 IDLE_S: Final = 0.05
@@ -343,28 +341,3 @@ def _longest(takes: Sequence["Take"]) -> tuple[int, float, NDArray[np.int64]]:
     """Rows, rate and cycle starts of the longest take."""
     longest = max(takes, key=lambda take: take.rows)
     return longest.rows, longest.rate_hz, longest.cycle_starts
-
-
-def recorded_page(robot: Robot, takes: Sequence["Take"], names: Sequence[str]) -> str:
-    """One self-contained page, viser's client and a recording of its scene, with robots side by side that repeat their
-    takes (of one rate), up to `LONGEST_S`; the shorter ones stay at their ends. `names` are those in the scene tree,
-    without slashes. While recording, a server runs on loopback. Raises `ConfigError` as `WebPage`."""
-    with WebPage() as page:
-        server = page.server
-        robots = line_up(server, takes, names=names)
-        for name, scene in zip(names, robots, strict=True):
-            for layer in LAYERS:
-                scene.set_layer(layer, layer in SHOWN)
-            # the robot stays in its place: its title need not move, which labels do late on a slow machine
-            above = (0.0, scene.aside, robot.home_height + 0.6 * robot.leg_length)
-            server.scene.add_label(f"/title/{name}", scene.take.title, position=above, anchor="bottom-center")
-        Cameras(server, robot, [scene.aside for scene in robots], float(takes[0].heading[0]))
-        rate_hz = takes[0].rate_hz
-        last = min(max(take.rows for take in takes), round(LONGEST_S * rate_hz))
-        stride = max(1, round(rate_hz / FRAMES_PER_S))
-        serializer = server.get_scene_serializer()
-        for row in range(0, last, stride):
-            for scene in robots:
-                scene.show(row, follow=True)
-            serializer.insert_sleep(stride / rate_hz)
-        return str(serializer.as_html())
