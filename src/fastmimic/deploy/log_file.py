@@ -11,7 +11,7 @@ import os
 import shutil
 import struct
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from numpy.typing import NDArray
@@ -148,11 +148,28 @@ def read_log_file(path: Path, kinds: Mapping[str, np.dtype[Any]]) -> LogContent:
     Raises `DeploymentError` for no such file, a damaged one, or rows of another kind."""
     found, ended = LogContent({}, {}, {}), True
     rows = {topic: bytearray() for topic in kinds}
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, str] = {}
     try:
         with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
             ended = content[-len(MCAP0_MAGIC) :] == MCAP0_MAGIC and len(content) > len(MCAP0_MAGIC)
             stream: Any = content
-            _read(StreamReader(stream, validate_crcs=True).records, path, kinds, rows, found)
+            for record in StreamReader(stream, validate_crcs=True).records:
+                if isinstance(record, Message):
+                    topic = topics[record.channel_id]
+                    if topic in kinds:
+                        rows[topic].extend(record.data[len(_CDR) :])
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    topics[record.id], kind = record.topic, kinds.get(record.topic)
+                    if kind is not None and schemas[record.schema_id].data != schema_of(kind).encode():
+                        said = "rows of another version of FastMimic, which this one cannot read"
+                        raise DeploymentError(f"{path}: {said}")
+                elif isinstance(record, Attachment):
+                    found.attachments[record.name] = record.data
+                elif isinstance(record, Metadata):
+                    found.metadata.update({key: from_json(text) for key, text in record.metadata.items()})
     except FileNotFoundError:
         raise DeploymentError(f"{path}: no such file") from None
     except _DAMAGED as error:
@@ -160,29 +177,3 @@ def read_log_file(path: Path, kinds: Mapping[str, np.dtype[Any]]) -> LogContent:
             raise DeploymentError(f"{path}: the log is damaged ({error or 'it ends early'})") from None
     found.rows.update({topic: np.frombuffer(rows[topic], kind) for topic, kind in kinds.items()})
     return found
-
-
-def _read(
-    records: Iterable[McapRecord],
-    path: Path,
-    kinds: Mapping[str, np.dtype[Any]],
-    rows: Mapping[str, bytearray],
-    found: LogContent,
-) -> None:
-    schemas: dict[int, Schema] = {}
-    topics: dict[int, str] = {}
-    for record in records:
-        if isinstance(record, Message):
-            topic = topics[record.channel_id]
-            if topic in kinds:
-                rows[topic].extend(record.data[len(_CDR) :])
-        elif isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            topics[record.id], kind = record.topic, kinds.get(record.topic)
-            if kind is not None and schemas[record.schema_id].data != schema_of(kind).encode():
-                raise DeploymentError(f"{path}: rows of another version of FastMimic, which this one cannot read")
-        elif isinstance(record, Attachment):
-            found.attachments[record.name] = record.data
-        elif isinstance(record, Metadata):
-            found.metadata.update({key: from_json(text) for key, text in record.metadata.items()})

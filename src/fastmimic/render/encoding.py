@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,7 +88,10 @@ def encoded(path: str | Path, arguments: list[str]) -> Iterator[Callable[[NDArra
         )
         assert encoder.stdin is not None
         pipe = encoder.stdin
-        _widen(pipe)
+        with suppress(ImportError, AttributeError, OSError):  # a larger buffer; only Linux can
+            import fcntl
+
+            fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
 
         def problem(what: str) -> OutputError:
             messages.seek(0)
@@ -113,14 +116,6 @@ def encoded(path: str | Path, arguments: list[str]) -> Iterator[Callable[[NDArra
             encoder.wait()
             with suppress(OSError):  # what it had not read is lost with it
                 pipe.close()
-
-
-def _widen(pipe: IO[bytes]) -> None:
-    """Enlarges a pipe's buffer where allowed."""
-    with suppress(ImportError, AttributeError, OSError):  # only Linux can
-        import fcntl
-
-        fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE)
 
 
 def _ffmpeg() -> str:
