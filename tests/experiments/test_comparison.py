@@ -15,7 +15,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named, ablations_of
-from fastmimic.experiments.compare import ComparisonPlan, RunProgress, prepare
+from fastmimic.experiments.compare import ComparisonPlan, prepare
 from fastmimic.experiments.comparison_run import ComparisonFolder, ComparisonSettings, Row, finished_row
 from fastmimic.experiments.measurement import COLUMNS, ablation_table, comparison_table, summaries
 from fastmimic.imitation.evaluate import evaluate
@@ -37,9 +37,8 @@ def run(plan: ComparisonPlan, out: Path, workers: int = 1) -> tuple[list[Row], l
     """The rows, and what was reported on the way."""
     reported: list[tuple[float, Row | None]] = []
 
-    def report(effort: RunProgress, row: Row | None) -> None:
-        assert effort.remaining_s is None or effort.remaining_s >= 0
-        reported.append((effort.share, row))
+    def report(share: float, row: Row | None) -> None:
+        reported.append((share, row))
 
     return prepare(plan, out, keep=True, prepared=lambda name: None).perform(workers, report), reported
 
@@ -231,7 +230,7 @@ class TestKept:
     def test_an_interrupted_search_goes_on_from_its_checkpoint(self, rows: list[Row], tmp_path: Path) -> None:
         plan = replace(PLAN, methods=("mbc-dmp",), seeds=1, ablations=False)
 
-        def stop(effort: RunProgress, row: Row | None) -> None:
+        def stop(share: float, row: Row | None) -> None:
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):

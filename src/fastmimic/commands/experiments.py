@@ -3,6 +3,7 @@
 import hashlib
 import os
 import platform
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -31,7 +32,7 @@ from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
-    from fastmimic.experiments.compare import ComparisonPlan, Prepared, ReportProgress, RunProgress
+    from fastmimic.experiments.compare import ComparisonPlan, Prepared, ReportProgress
     from fastmimic.experiments.comparison_run import ComparisonFolder, Row
     from fastmimic.experiments.experiment import Subject
     from fastmimic.experiments.stress import StressSettings
@@ -90,7 +91,7 @@ class Compare:
             if prepared.kept:
                 note(f"the results include {len(prepared.kept)} more finished runs from the folder")
             try:
-                with _progress(total) as report:
+                with _progress(total, total - len(prepared.tasks)) as report:
                     prepared.perform(workers, report)
             except (KeyboardInterrupt, FastMimicError):
                 if folder.begun:
@@ -163,19 +164,22 @@ def _processor() -> str:
 
 
 @contextmanager
-def _progress(total: int) -> "Iterator[ReportProgress]":
+def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
     """A bar on a terminal, otherwise a line for each finished run."""
+    began = time.perf_counter()
     with share_progress("comparing") as tell:
 
-        def report(effort: "RunProgress", row: "Row | None") -> None:
-            finished = total - len(effort.tasks) + effort.finished
-            left = "" if effort.remaining_s is None else f", {timedelta(seconds=round(effort.remaining_s))} left"
+        def report(share: float, row: "Row | None") -> None:
+            nonlocal finished
+            remaining_s = (time.perf_counter() - began) * (1.0 - share) / share if share > 0 else None
+            left = "" if remaining_s is None else f", {timedelta(seconds=round(remaining_s))} left"
             line = ""
             if row is not None:
+                finished += 1
                 run = row["method"] + (f" ({row['variant']})" if row["variant"] else "") + f" seed {row['seed']}"
                 fell = ", fell" if row["fell"] else ""
                 line = f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}"
-            tell(effort.share, f"{finished}/{total} runs{left}", line)
+            tell(share, f"{finished}/{total} runs{left}", line)
 
         yield report
 

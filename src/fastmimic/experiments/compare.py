@@ -6,7 +6,6 @@ episodes and CMA-ES on one thread. Runs share nothing, so the rows do not depend
 `benchmarks/comparison.py --scaling` measures both ways.
 """
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -90,34 +89,9 @@ class ComparisonPlan:
         return runs
 
 
-@dataclass
-class RunProgress:
-    """Progress in simulated time, and the remaining time at the pace so far."""
-
-    tasks: Sequence[RunTask]
-    finished: int = 0
-    _began: float = field(default_factory=time.perf_counter)
-    _done_s: dict[int, float] = field(default_factory=dict)
-
-    def advance(self, index: int, share: float) -> None:
-        """Records the finished share of a run."""
-        self._done_s[index] = share * self.tasks[index].simulated_s
-
-    @property
-    def share(self) -> float:
-        """Finished share of the simulated time, in [0, 1]."""
-        total = sum(task.simulated_s for task in self.tasks)
-        return min(1.0, sum(self._done_s.values()) / total) if total > 0 else 1.0
-
-    @property
-    def remaining_s(self) -> float | None:
-        """None before anything is done."""
-        share = self.share
-        return (time.perf_counter() - self._began) * (1.0 - share) / share if share > 0 else None
-
-
-ReportProgress = Callable[[RunProgress, Row | None], None]
-"""Called after each iteration of a run, and with the row of each finished run."""
+ReportProgress = Callable[[float, Row | None], None]
+"""Called with the finished share of the simulated time, in [0, 1], after each iteration of a run, and with the row of
+each finished run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,11 +115,13 @@ class Prepared:
         finished runs and checkpoints stay in the folder."""
         for path, motion in self.files.items():
             motion.save(path)
-        tasks, effort, rows = self.tasks, RunProgress(self.tasks), dict(self.found)
+        tasks, rows = self.tasks, dict(self.found)
+        done_s: dict[int, float] = {}
+        total_s = sum(task.simulated_s for task in tasks)
 
-        def progress(index: int, share: float) -> None:
-            effort.advance(index, share)
-            report(effort, None)
+        def progress(index: int, share: float, row: Row | None = None) -> None:
+            done_s[index] = share * tasks[index].simulated_s
+            report(min(1.0, sum(done_s.values()) / total_s), row)
 
         executor = LocalExecutor(max(1, min(workers, len(tasks))))
         with closing(executor.run(compared.perform, tasks, progress)) as outcomes:
@@ -153,9 +129,7 @@ class Prepared:
                 if outcome.error is not None:
                     raise outcome.error
                 rows[tasks[outcome.index].run] = outcome.result
-                effort.advance(outcome.index, 1.0)
-                effort.finished += 1
-                report(effort, outcome.result)
+                progress(outcome.index, 1.0, outcome.result)
         return [rows[run] for run in self.plan.runs]
 
     def finished(self) -> list[Row]:
