@@ -238,25 +238,22 @@ class ServiceServer:
             self._responses.write()
 
 
-def release_motion_service(
-    participant: Participant, lies: Callable[[], bool], say: Callable[[str], None] = lambda text: None
-) -> str | None:
+def release_motion_service(participant: Participant, lies: Callable[[], bool], say: Callable[[str], None]) -> None:
     """Makes a robot's motion service release the motors, once the robot lies: standing, it would fall. `lies` says
-    whether it lies now, `say` takes lines on progress. Returns the mode released; None if none was active, or for a
-    simulator on this computer without such a service. Raises `DriverError`: a robot without such a service, or one that
-    does not answer, lie down or release the motors."""
+    whether it lies now, `say` takes lines on progress. A simulator on this computer need not have such a service.
+    Raises `DriverError`: a robot without it, or one that does not answer, lie down or release the motors."""
     switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
     if not switcher.find(FIND_S if here else FIND_FAR_S):
         if here:
-            return None
+            return
         raise DriverError(
             f"no service '{MOTION_SWITCHER}' on '{participant.interface}', so the robot's own software may command the"
             " motors: nothing is sent to them"
         )
     released = mode = _active_mode(switcher)
     if mode is None:
-        return None
+        return
     if not lies():
         say(f"the robot's motion service '{mode}' is active: it lies down first")
         _lie_down(participant, lies)
@@ -267,7 +264,6 @@ def release_motion_service(
         switcher.ask(RELEASE_MODE)
         mode = _active_mode(switcher)
     say(f"the robot's motion service '{released}' was released")
-    return released
 
 
 def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
