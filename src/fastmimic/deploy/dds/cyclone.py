@@ -311,10 +311,6 @@ class Reader:
     def matched(self) -> int:
         return _matched(cyclone().dds_get_subscription_matched_status, self._handle)
 
-    def close(self) -> None:
-        cyclone().dds_delete(self._waitset)
-        cyclone().dds_delete(self._handle)
-
 
 class TextReader:
     """Receives messages with strings or sequences, in the library's memory."""
