@@ -7,6 +7,7 @@ import numpy as np
 
 from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ConfigError
+from fastmimic.base.files import packaged
 from fastmimic.base.text import NONE, number
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.deployment import result_of
@@ -19,14 +20,7 @@ from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 
 CUT_OFF: Final = "the program was killed, or its computer lost power, or the disk was full"
 
-_TIMES: Final = {
-    "period_error_us": "period error, µs",
-    "control_us": "control, µs",
-    "solve_us": "  planning ahead, µs",
-    "read_us": "reading, µs",
-    "write_us": "writing, µs",
-    "round_trip_us": "state received to command sent, µs",
-}
+_TIMES: Final = packaged("fastmimic.deploy", "times.json", dict[str, str])
 
 
 def robot_of(log: DeploymentLog, given: str | None = None) -> Robot:

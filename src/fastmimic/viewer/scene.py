@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
+from fastmimic.base.files import packaged
 from fastmimic.render.video_scene import GHOST_RGBA, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.viewer import take as marks
@@ -22,16 +23,8 @@ if TYPE_CHECKING:
     from fastmimic.viewer.bodies import BodyMesh, Placed
 
 
-LAYERS: Final = {
-    "ghost": "ghost (demonstration)",
-    "contacts": "contacts",
-    "forces": "forces, friction pyramids",
-    "paths": "foot paths",
-    "com": "centre of mass",
-    "names": "names",
-    "animal": "animal",
-}  # names and labels
-
+LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])
+"""Names and labels."""
 WIDE_GROUND: Final = (24.0, 24.0)
 _CELL_M: Final = 0.25
 _TERRAIN_RGB: Final = (205, 210, 215)

@@ -6,19 +6,11 @@ from typing import Any, ClassVar, Final
 
 from fastmimic.base.files import packaged
 
-_PRIMITIVES: Final[dict[str, tuple[Any, int, int]]] = {
-    "octet": (ctypes.c_uint8, 1, 0),
-    "boolean": (ctypes.c_bool, 14, 0),
-    "short": (ctypes.c_int16, 2, 8),
-    "unsigned short": (ctypes.c_uint16, 2, 0),
-    "long": (ctypes.c_int32, 3, 8),
-    "unsigned long": (ctypes.c_uint32, 3, 0),
-    "long long": (ctypes.c_int64, 4, 8),
-    "float": (ctypes.c_float, 3, 4),
-    "string": (ctypes.c_char_p, 5, 0),
-}
-"""IDL's types in C, with type codes and flags (signed 8, floating point 4); dds/ddsc/dds_opcodes.h."""
-_CODES: Final = {kind: (code, flags) for kind, code, flags in _PRIMITIVES.values()}
+DECLARED: Final = packaged("fastmimic.deploy.dds", "cyclone.json", dict[str, dict[str, Any]])
+"""CycloneDDS's functions, each with a result and its arguments, and structures; and IDL's types in C, with type codes
+and flags (signed 8, floating point 4): dds/ddsc/dds_opcodes.h."""
+_PRIMITIVES: Final = {name: getattr(ctypes, kind) for name, (kind, *_) in DECLARED["primitives"].items()}
+_CODES: Final = {getattr(ctypes, kind): (code, flags) for kind, code, flags in DECLARED["primitives"].values()}
 _ADR, _SEQUENCE, _ARRAY, _END = 1 << 24, 7 << 16, 8 << 16, 0
 _FIXED_SIZE: Final = 1 << 4
 
@@ -27,10 +19,6 @@ class Message(ctypes.Structure):
     """A DDS type; peers match it by `typename`."""
 
     typename: ClassVar[str] = ""
-
-
-DECLARED: Final = packaged("fastmimic.deploy.dds", "cyclone.json", dict[str, dict[str, Any]])
-"""CycloneDDS's functions, each with a result and its arguments, and structures."""
 
 
 def structure(name: str) -> Any:
@@ -53,7 +41,7 @@ _MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
 def messages_of(idl: str) -> dict[str, Any]:
     """The structures of an IDL as `Message` classes by their full names. It may contain modules, structures, comments,
     `_PRIMITIVES`, `sequence<octet>` and arrays of one dimension."""
-    known: dict[str, Any] = {name: kind for name, (kind, _, _) in _PRIMITIVES.items()} | {"sequence<octet>": Octets}
+    known: dict[str, Any] = {**_PRIMITIVES, "sequence<octet>": Octets}
     found, modules = {}, []
     for module, struct, body in _TOKEN.findall(re.sub(r"//.*", "", idl)):
         if module:
