@@ -63,11 +63,11 @@ def test_frames_are_the_same_however_many_draw_them(
 def test_a_failure_while_drawing_is_told_and_leaves_no_file(
     a1: Robot, walk: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(panel: object, frame: int) -> None:
+    def fail(view: object, frame: int) -> None:
         if frame == 3:
             raise RuntimeError("no such scene")
 
-    monkeypatch.setattr(video._Panel, "scene", fail)
+    monkeypatch.setattr(video.CameraView, "frame", fail)
     monkeypatch.setattr(Offscreen, "draw", lambda self, scenes, columns: np.zeros((180, 320, 3), np.uint8))
     with pytest.raises(RuntimeError, match="no such scene"):
         render_video(a1, [walk(0.3)], tmp_path / "v.mp4", rate_hz=RATE_HZ, fps=25, size=SIZE)

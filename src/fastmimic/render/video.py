@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_a
 from fastmimic.render.tracks import Shown, Track
 from fastmimic.render.video_scene import GHOST_RGBA, TILE_M, CameraView, VideoScene, build_video_scene
 from fastmimic.robot import Robot
-
-if TYPE_CHECKING:
-    import mujoco
 
 _LOG = logging.getLogger(__name__)
 _CAMERA_AZIMUTH_DEG: Final = 122.0  # from the initial heading: the robot crosses the picture
@@ -42,24 +39,6 @@ class VideoInfo:
 
     frames: int
     seconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Panel:
-    """A view with what it shows, the points (n, 3) to look at, and the width of trails, pixels."""
-
-    view: CameraView
-    shown: Shown
-    look_at: Array
-    trail_width: float
-
-    def scene(self, frame: int) -> "mujoco.MjvScene":
-        shown = self.shown
-        robot = None if shown.robot is None else shown.robot[frame]
-        ghost = None if shown.ghost is None else shown.ghost[frame]
-        self.view.update(robot, ghost, self.look_at[frame])
-        shown.mark(self.view, frame, self.trail_width)
-        return self.view.scene
 
 
 def render_video(
@@ -151,14 +130,14 @@ class _Here(Executor):
 
 
 @contextmanager
-def _painter(video_scene: VideoScene, panels: list[_Panel], columns: int) -> Iterator[_Paint]:
+def _painter(video_scene: VideoScene, panels: list[CameraView], columns: int) -> Iterator[_Paint]:
     """Draws frames in its own thread, to which its OpenGL context belongs; contexts of a window system stay in the
     caller's thread. Its panels are its own, since drawing poses them. Raises `NoRendererError`."""
     with ThreadPoolExecutor(max_workers=1) if in_any_thread() else _Here() as thread:
         screen = thread.submit(Offscreen, video_scene.model).result()
 
         def draw(frame: int) -> NDArray[np.uint8]:
-            return screen.draw([panel.scene(frame) for panel in panels], columns)
+            return screen.draw([panel.frame(frame) for panel in panels], columns)
 
         try:
             yield partial(thread.submit, draw)
@@ -217,7 +196,7 @@ def _build(
 
 def _panels(
     video_scene: VideoScene, robot: Robot, shown: list[Shown], times: Array, size: tuple[int, int], columns: int
-) -> list[_Panel]:
+) -> list[CameraView]:
     """Panels that all look from the same side and distance, each following its own robot."""
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
     rows = -(-len(shown) // columns)
@@ -228,13 +207,12 @@ def _panels(
     azimuth = np.degrees(first.yaw) + _CAMERA_AZIMUTH_DEG
     height = _LOOK_AT_HEIGHT * float(np.median(first.root[:, 2]))
     dt = times[1] - times[0] if len(times) > 1 else 1.0
+    look = {"azimuth_deg": azimuth, "distance": distance, "trail_width": _TRAIL_WIDTH * max(size[1] / 720, 0.5)}
     panels = []
     for each in shown:
         look_at = _low_pass(each.root, _CAMERA_SMOOTHING_S / dt)
         look_at[:, 2] = height if video_scene.terrain is None else look_at[:, 2] - 0.4 * robot.home_height
-        panels.append(
-            _Panel(CameraView(video_scene, azimuth, distance), each, look_at, _TRAIL_WIDTH * max(size[1] / 720, 0.5))
-        )
+        panels.append(CameraView(video_scene, each, look_at, **look))
     return panels
 
 

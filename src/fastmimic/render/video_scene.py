@@ -3,7 +3,7 @@ seen by a camera, with a shadow under the robot."""
 
 from dataclasses import dataclass
 from importlib import resources
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import mujoco
 import numpy as np
@@ -16,6 +16,9 @@ from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
 from fastmimic.robot import Robot
 from fastmimic.simulation.mujoco_sim import floor_shapes
 from fastmimic.simulation.terrain import Terrain
+
+if TYPE_CHECKING:
+    from fastmimic.render.tracks import Shown
 
 Rgba = tuple[float, float, float, float]
 
@@ -246,11 +249,21 @@ def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
 
 
 class CameraView:
-    """Poses the robots of a video scene and collects what to draw. The camera looks along `azimuth_deg`, from the
-    world's x axis, at a point in `distance`, m."""
+    """One panel of a video: poses the robots as `shown`, frame by frame, and collects what to draw. The camera looks
+    along `azimuth_deg`, from the world's x axis, at the points `look_at` (n, 3), in `distance`, m; trails have a width
+    in pixels."""
 
-    def __init__(self, video_scene: VideoScene, azimuth_deg: float, distance: float) -> None:
-        self.video_scene = video_scene
+    def __init__(
+        self,
+        video_scene: VideoScene,
+        shown: "Shown",
+        look_at: Array,
+        *,
+        azimuth_deg: float,
+        distance: float,
+        trail_width: float,
+    ) -> None:
+        self.video_scene, self._shown, self._look_at, self._trail_width = video_scene, shown, look_at, trail_width
         self._data = mujoco.MjData(video_scene.model)
         self.scene = mujoco.MjvScene(video_scene.model, maxgeom=2 * video_scene.model.ngeom + _MAX_MARKS)
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = video_scene.quality.shadow_map > 0
@@ -263,22 +276,23 @@ class CameraView:
         self._camera.distance = distance
         self._shadows: list[tuple[mujoco.MjvGeom, mujoco.MjvGeom]] | None = None
 
-    def update(self, robot: Array | None, ghost: Array | None, look_at: Array) -> None:
-        """Poses the robot and the ghost, (19,) each, and points the camera at `look_at` (3,), world. The first call
-        settles whether robot and ghost are shown."""
-        model, data, video_scene = self.video_scene.model, self._data, self.video_scene
-        if robot is not None:
-            data.qpos[video_scene.robot_qpos] = robot
-        if video_scene.ghost_qpos is not None and ghost is not None:
-            data.qpos[video_scene.ghost_qpos] = ghost
-        self._option.geomgroup[GHOST_GROUP] = ghost is not None
+    def frame(self, number: int) -> mujoco.MjvScene:
+        """The scene of a frame, valid until the next one. The first settles whether robot and ghost are shown."""
+        model, data, video_scene, shown = self.video_scene.model, self._data, self.video_scene, self._shown
+        if shown.robot is not None:
+            data.qpos[video_scene.robot_qpos] = shown.robot[number]
+        if video_scene.ghost_qpos is not None and shown.ghost is not None:
+            data.qpos[video_scene.ghost_qpos] = shown.ghost[number]
+        self._option.geomgroup[GHOST_GROUP] = shown.ghost is not None
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        self._camera.lookat[:] = look_at
-        shown = _GROUND_ONLY if robot is None else _EVERYTHING
-        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, shown, self.scene)
+        self._camera.lookat[:] = look_at = self._look_at[number]
+        drawn = _GROUND_ONLY if shown.robot is None else _EVERYTHING
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, drawn, self.scene)
         self._follow(look_at)
         self._cast_shadow()
+        shown.mark(self, number, self._trail_width)
+        return self.scene
 
     def line(self, start: Array, end: Array, leg: int, alpha: float, width: float) -> None:
         """Adds a line between two points (3,), world, in the colour of a leg; `width` in pixels."""
