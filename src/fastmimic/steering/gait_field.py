@@ -93,6 +93,7 @@ def gait_field(
     clip: Clip | None = None,
     progress: Callable[[int, int], None] = lambda done, count: None,
     *,
+    grid: Grid = Grid(),
     workers: int | None = 1,
 ) -> GaitField:
     """The field of a robot, whose name or file is `source`, from one period of an animal's gait, or by default of a
@@ -105,7 +106,7 @@ def gait_field(
         name = clip.meta.get("name", "the clip")
         raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
     robot = load_robot(source)
-    grid = Grid().sized(robot.leg_length / _A1_LEG_M)
+    grid = grid.sized(robot.leg_length / _A1_LEG_M)
     given = [np.array(grid.velocities()), clip.points_w]
     if clip.root_quat_wxyz is not None:
         given.append(clip.root_quat_wxyz)
