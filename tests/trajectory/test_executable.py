@@ -45,6 +45,18 @@ def test_it_keeps_every_limit_by_mujocos_inverse_dynamics(a1: Robot, animal: Mot
     assert found.body_clearance_m > 0.0
 
 
+def test_a_gallop_keeps_the_motors_limits_between_the_nodes(a1: Robot, data_folder: Path) -> None:
+    """Its legs swing at full speed in both directions, and feet touch down a few milliseconds after one another."""
+    run = open_clip(data_folder / "dog_keypoints" / "dog_run00_joint_pos.txt", frames=(427, 454))
+    motion, report = retarget(run, a1, cycle=True)
+    assert report.executable is not None
+    assert report.executable.active["torque at speed"] > 0.1
+    highest = demands(a1, motion, sample_s=motion.dt, percentile=100)
+    assert highest.torque <= 1.0
+    assert highest.torque_at_speed <= 1.01
+    assert highest.joint_speed <= 0.97
+
+
 def test_solution_is_consistent_and_within_its_bounds(a1: Robot, animal: Motion, turn: Executable) -> None:
     solution = turn.solution
     program = Program(a1, animal, TrajectoryConfig())
