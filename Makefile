@@ -1,4 +1,4 @@
-# make demo   from nothing to an optimised trot with its video in runs/demo
+# make demo   from nothing to a gallop in runs/demo; its video: the animal, the robot without the method, and with it
 # make test   the tests, on all cores; PYTEST_ARGS="-x tests/control" runs some of them
 # make test-skipped   installs all extras and runs what make test skipped
 # make docs   the documentation site in build/site
@@ -17,7 +17,7 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(she
 .PHONY: demo test test-skipped lint format types docs bench clean
 
 demo: $(VENV)/.installed
-	$(BIN)/fastmimic imitate trot --out runs/demo $(DEMO_ARGS)
+	$(BIN)/fastmimic imitate gallop --out runs/demo $(DEMO_ARGS)
 
 test: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)

@@ -11,8 +11,10 @@ import pytest
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.base.files import write_json
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
+from fastmimic.render.animal import AnimalTrack
 from fastmimic.render.tracks import Track
 from fastmimic.report.figures import write_video
 from fastmimic.runs.loading import load_motion
@@ -127,26 +129,38 @@ def test_refusals(tmp_path: Path, resume: bool, overwrite: bool, error: type[Exc
 
 
 @pytest.mark.parametrize(
-    ("method", "optimised", "titles"),
+    ("method", "optimised", "searched", "title"),
     [
-        ("mbc", False, ["as retargeted"]),
-        ("lh", True, ["as its motions were optimised"]),
-        ("mbc-dmp", True, ["before: as retargeted", "after: optimised"]),
+        ("mbc", False, False, "not optimised"),
+        ("lh", True, False, "as its motions were optimised"),
+        ("mbc-dmp", True, True, "optimised"),
     ],
 )
 def test_the_video_says_what_it_shows(
-    method: str, optimised: bool, titles: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    method: str, optimised: bool, searched: bool, title: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stitched motion is not as retargeted, even if the method of the whole optimises nothing."""
+    """The animal, where there is a clip, the robot without the method, and with it. A stitched motion may be of
+    optimised ones, even if the method of the whole optimises nothing."""
     motion = load_motion("trot")
     result = imitate(motion, method="mbc", duration_s=0.1)
     stands_for = replace(motion, demonstration=motion) if optimised else motion
-    history = object() if len(titles) > 1 else None
+    history = object() if searched else None
     result = replace(result, motion=stands_for, method=method, history=history)  # type: ignore[arg-type]
     shown: list[Track] = []
     monkeypatch.setattr("fastmimic.render.video.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
+    write_video(result, RunFolder(tmp_path), clip=open_clip("trot"))
+    animal, without, with_it = shown
+    assert isinstance(animal, AnimalTrack)
+    assert (animal.title, animal.caption) == ("the animal", "trot")
+    assert without.title == "without: the animal's motion as it is"
+    assert without.caption.startswith(f"trot · {METHODS['mbc'].label} · reward 0.")
+    assert with_it.title == f"with: executable, {title}"
+    assert with_it.caption == f"trot · {METHODS[method].label} · reward {result.after.reward[0]:.2f}"
+    assert len({len(track.pose) for track in shown}) == 1
+    shown.clear()
     write_video(result, RunFolder(tmp_path))
-    assert [track.title for track in shown] == titles
-    labels = [METHODS[name].label for name in ("mbc", "mbc-dmp")] if history else [METHODS[method].label]
-    reward = f"{result.before.reward[0]:.2f}"
-    assert [track.caption for track in shown] == [f"trot · {label} · reward {reward}" for label in labels]
+    assert [track.title for track in shown] == [without.title, with_it.title]
+    kinematic = replace(result, motion=replace(stands_for, animal=None, demonstration=None))
+    shown.clear()
+    write_video(kinematic, RunFolder(tmp_path))
+    assert [track.title for track in shown] == ["optimised" if searched else "not optimised"]

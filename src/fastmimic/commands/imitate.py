@@ -120,7 +120,8 @@ class Imitate(SearchRun):
             result = self._imitate(robot, motion, method, folder)
             result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
             write_run(result, folder, config)
-        return put_result(result, folder, self.search.iterations, video=video)
+        clip = None if video is None else self.clip.animal(self.motion, robot)
+        return put_result(result, folder, self.search.iterations, video=video, clip=clip)
 
     def _method(self) -> str:
         """Name of the method that runs; raises `ConfigError` if the options do not fit it."""

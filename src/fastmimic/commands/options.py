@@ -16,6 +16,7 @@ from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder
 from fastmimic.base.text import plain
 from fastmimic.clips.catalogue import parse_frames
+from fastmimic.clips.clip import Clip
 from fastmimic.commands.console import count_progress, note
 from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
@@ -196,6 +197,12 @@ class ClipOptions(ClipFileOptions):
         found = find_motion(source)
         body = choose_robot(robot, found)
         return body, found.load(body, **overrides)
+
+    def animal(self, source: str, robot: Robot) -> Clip | None:
+        """The clip that `source` is; None for a robot motion."""
+        found, overrides = find_motion(source), self.overrides()
+        overrides.pop("executable", None)
+        return None if found.clip is None else found.open_clip(robot, **overrides)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import packaged, remove_file
 from fastmimic.base.text import NONE, number
+from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table, slow_start
@@ -74,9 +75,11 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
     folder.write(result.motion, config, result.metrics(), searched=result.history is not None)
 
 
-def put_result(result: "Imitation", folder: RunFolder, iterations: int | None, *, video: str | None) -> int:
-    """Prints the figures before and after, and adds the video, of this quality or None for none, to the folder; returns
-    the exit status. `iterations` is the number that was asked for, None for no number."""
+def put_result(
+    result: "Imitation", folder: RunFolder, iterations: int | None, *, video: str | None, clip: Clip | None = None
+) -> int:
+    """Prints the figures before and after, and adds the video, of this quality or None for none, to the folder, with
+    the animal of `clip`; returns the exit status. `iterations` is the number that was asked for, None for no number."""
     from fastmimic.report.figures import write_video
 
     metrics = result.metrics()
@@ -92,12 +95,13 @@ def put_result(result: "Imitation", folder: RunFolder, iterations: int | None, *
     if video is not None:
         try:
             with count_progress("video, frame") as progress:
-                write_video(result, folder, progress, video)
+                write_video(result, folder, progress, video, clip)
         except KeyboardInterrupt:
             note(f"the video was not written; everything else is in {folder.path}")
             raise
     put(f"results in {folder.path}")
     if not result.interrupted:
+        note(f"to look closer: fastmimic view {folder.path}")
         return 0
     note(
         f"fastmimic: interrupted after {result.iterations} of {iterations or 'at most 200'} iterations;"

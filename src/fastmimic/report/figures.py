@@ -20,6 +20,7 @@ from fastmimic.base.rotations import roll_pitch_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, take_of
 from fastmimic.episode.feasibility import SAMPLE_S, use_of_limits
+from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.measurement import foot_courses, shown_window
 from fastmimic.imitation.imitate import Imitation
@@ -35,6 +36,7 @@ from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 _GAIT_COLORS: Final = packaged("fastmimic.report", "gait_colors.json", dict[str, str])
 _AT_LIMIT: Final = 0.9
+THREE_PANELS: Final = (1380, 460)
 _ANIMAL: Final[dict[str, Any]] = {"color": MUTED, "linewidth": 1.0, "alpha": 0.55}
 
 
@@ -170,15 +172,19 @@ def write_video(
     folder: RunFolder,
     progress: Callable[[int, int], None] | None = None,
     quality: str = "preview",
+    clip: Clip | None = None,
 ) -> None:
-    """Adds the video, if anything can draw, and its time to the metrics. Arguments, errors as `render_video`."""
+    """Adds the video, if anything can draw, and its time to the metrics: the animal of `clip`, the robot with its
+    motion as it is, and with the result. Arguments, errors as `render_video`."""
     from fastmimic.render.video import render_video
 
-    began = time.perf_counter()
+    began, tracks = time.perf_counter(), _tracks(result, clip)
     info = render_video(
         result.robot,
-        _tracks(result),
+        tracks,
         folder.path / VIDEO,
+        size=None if len(tracks) < 3 else THREE_PANELS,
+        columns=len(tracks),
         rate_hz=result.before.course.rate_hz,
         progress=progress,
         quality=quality,
@@ -187,20 +193,24 @@ def write_video(
         folder.write_metrics(result.metrics(), time.perf_counter() - began)
 
 
-def _tracks(result: Imitation) -> list[Track]:
-    """The episodes before and, if something was optimised, after."""
+def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
+    """The animal, the robot without the method, and with it; what there is of them."""
+    from fastmimic.render.animal import AnimalTrack
 
     def track(rollout: Rollout, title: str, method: str) -> Track:
         loaded = result.config.release_force(result.robot)
         return rollout_track(rollout, loaded, title, note=f"{result.motion.name} · {method_named(method).label}")
 
-    if result.history is not None:  # before it, there was only the method's controller
-        return [
-            track(result.before, "before: as retargeted", method_named(result.method).unoptimised.name),
-            track(result.after, "after: optimised", result.method),
-        ]
-    as_it_is = "as retargeted" if result.motion.demonstration is None else "as its motions were optimised"
-    return [track(result.before, as_it_is, result.method)]
+    robot, animal, seconds = result.robot, result.demonstration.animal, result.duration_s
+    tracks: list[Track] = []
+    if clip is not None:
+        tracks.append(AnimalTrack.of(clip, robot, result.motion, seconds, "the animal", result.motion.name))
+    if animal is not None:
+        as_it_is = run_episodes(robot, animal, duration_s=seconds, config=result.config, log=True)
+        tracks.append(track(as_it_is, "without: the animal's motion as it is", "mbc"))
+    before = "not optimised" if result.motion.demonstration is None else "as its motions were optimised"
+    title = "optimised" if result.history is not None else before
+    return [*tracks, track(result.after, title if animal is None else f"with: executable, {title}", result.method)]
 
 
 def motion_figure(motion: Motion, robot: Robot) -> Figure:
