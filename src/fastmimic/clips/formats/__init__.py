@@ -1,26 +1,54 @@
-"""Animal and robot motion files, recognised by content, never by name. To add a format here, write its `Format` in a
-module and name it below. A user's script registers one with `FORMATS.register(Format(…))`, see
+"""Animal and robot motion files, recognised by content, never by name. To add a format here, write its reader in a
+module, and name it in `formats.json` and below. A user's script registers one with `FORMATS.register(Format(…))`, see
 `examples/extend/motion_format.py`."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NotRequired, TypedDict
 
 from fastmimic.base.errors import ClipError, naming
+from fastmimic.base.files import packaged
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, pose_table, skeletons
-from fastmimic.clips.formats.format import FORMATS, ROBOT_MOTION, Content, Format, ReadOptions, format_of, suffixes
-from fastmimic.clips.formats.points import UP_AXES, read_point_map
+from fastmimic.clips.formats.format import FORMATS, Content, Format, ReadOptions, format_of, refuse, suffixes
+from fastmimic.clips.formats.points import UP_AXES, parse_tracks, read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
 from fastmimic.clips.travel import with_travel
 
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
-_KEYPOINTS = (keypoints.FORMAT, keypoints.NAMED_FORMAT)
-_TABLES = (csv_motion.FORMAT, *_KEYPOINTS, pose_table.ANIPOSE, pose_table.DEEPLABCUT)
-_BINARY = (csv_motion.ARRAYS, pose_table.HDF5, pose_table.C3D, skeletons.GLB, skeletons.AI4ANIMATION)
-for _format in (ROBOT_MOTION, *_TABLES, skeletons.BVH, deepmimic.FORMAT, *_BINARY):
-    FORMATS.register(_format)
+_READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[[Any], Any]]]] = {
+    "npz": (lambda content: content.holds_motion, refuse),
+    "csv": (csv_motion.detect, csv_motion.parse),
+    "keypoints": (lambda content: keypoints.COLUMNS in content.columns, keypoints.parse),
+    "points": (keypoints.names_points, keypoints.read_named),
+    "anipose": (lambda content: set(content.table.header or ()) >= pose_table.ANIPOSE, pose_table.read_anipose),
+    "deeplabcut": (pose_table.is_deeplabcut, pose_table.read_deeplabcut),
+    "bvh": (lambda content: content.start.startswith(skeletons.KEYWORD), skeletons.read_bvh),
+    "deepmimic": (lambda content: content.start[:1] in ("{", "["), deepmimic.parse),
+    "trajectory": (lambda content: content.members >= {"q.npy", "dt.npy"}, csv_motion.parse_arrays),
+    "hdf5": (lambda content: content.data.startswith(b"\x89HDF\r\n\x1a\n"), pose_table.read_hdf5),
+    "c3d": (pose_table.is_c3d, pose_table.read_c3d),
+    "glb": (lambda content: content.data.startswith(b"glTF"), skeletons.read_glb),
+    "ai4animation": (lambda content: content.members >= skeletons.AI4ANIMATION, skeletons.read_ai4animation),
+}
+"""What tells the formats of `formats.json` by the content, and what reads them: a clip, or `Tracks` if they take a
+`point_map`."""
+
+
+class _Said(TypedDict):
+    about: str
+    suffixes: tuple[str, ...]
+    takes: tuple[str, ...]
+    binary: NotRequired[bool]
+
+
+for _name, _said in packaged("fastmimic.clips.formats", "formats.json", dict[str, _Said]).items():
+    _detect, _read = _READERS[_name]
+    _parse = partial(parse_tracks, _read, _said["about"]) if "point_map" in _said["takes"] else _read
+    FORMATS.register(Format(_name, detect=_detect, parse=_parse, **_said))
 
 
 def detect_format(path: str | Path) -> str:

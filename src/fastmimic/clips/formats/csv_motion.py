@@ -19,7 +19,7 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats.format import Format, members
+from fastmimic.clips.formats.format import Content
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import LARGEST, Table, check_frames, check_rate, read_table, to_array
 from fastmimic.robot.robot import Robot
@@ -100,6 +100,11 @@ def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) 
     q[:, 7:] = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]].reshape(-1, 12)
     _check_radians(q[:, 7:], lambda i: f"q, row {i}", JOINT_NAMES)
     return _clip_of(q, float(rate), robot, ["legs are in Pinocchio's order FL, FR, RL, RR"], lambda i: f"q, row {i}")
+
+
+def detect(content: Content) -> bool:
+    """Whether a text is a retargeted motion, by its header or the number of its columns."""
+    return names_joints(content.table.header or []) or COLUMNS in content.columns
 
 
 def names_joints(header: list[str]) -> bool:
@@ -191,22 +196,3 @@ def _check_radians(joints: Array, where: Callable[[int], str], names: Sequence[s
     if len(wrong):
         i, j = wrong[0]
         raise ClipError(f"{where(i)}, {names[j]}: {joints[i, j]:g} is more than a turn; joints are in radians")
-
-
-FORMAT: Final = Format(
-    name="csv",
-    about=f"retargeted robot motion, {COLUMNS} columns of text (root xyz, quaternion xyzw, 12 joints) or a header",
-    suffixes=(".csv",),
-    detect=lambda content: names_joints(content.table.header or []) or COLUMNS in content.columns,
-    parse=parse,
-    takes=("robot", "fps"),
-)
-ARRAYS: Final = Format(
-    name="trajectory",
-    about="robot trajectory as arrays q (19 columns), v and dt (.npz)",
-    suffixes=(".npz",),
-    detect=lambda content: (members(io.BytesIO(content.data)) or set()) >= {"q.npy", "dt.npy"},
-    parse=parse_arrays,
-    takes=("robot", "fps"),
-    binary=True,
-)

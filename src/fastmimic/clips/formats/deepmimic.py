@@ -23,7 +23,6 @@ from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats.format import Format
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
 from fastmimic.robot.robot import ROBOT_NAMES, Robot, load_robot
@@ -225,13 +224,3 @@ def _rate(document: dict[str, Any]) -> float:
         raise ClipError(f"FrameDuration is {json.dumps(duration)[:40]}; expected a number of seconds")
     check_positive(duration, "FrameDuration", "s")
     return 1.0 / duration if duration > 1e-9 else np.inf
-
-
-FORMAT: Final = Format(
-    name="deepmimic",
-    about="DeepMimic-style JSON of the Laikago, or of the robot that it names, 19 numbers a frame (49 or 61 with feet)",
-    suffixes=(".txt", ".json"),
-    detect=lambda content: content.start[:1] in ("{", "["),
-    parse=parse,
-    takes=("robot", "fps"),
-)

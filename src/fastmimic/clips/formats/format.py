@@ -56,6 +56,16 @@ class Content:
         return self.text.lstrip()
 
     @cached_property
+    def members(self) -> set[str]:
+        """The names in a zip archive; none of a damaged one, or of another file."""
+        return members(io.BytesIO(self.data)) or set()
+
+    @property
+    def holds_motion(self) -> bool:
+        """Whether it is an `.npz` of ours, or a damaged one."""
+        return _holds_arrays(io.BytesIO(self.data))
+
+    @cached_property
     def table(self) -> Table:
         """The first lines of the text as a table."""
         return read_table("\n".join(self.text.split("\n", _LINES_READ)[:_LINES_READ]))
@@ -172,16 +182,6 @@ def members(file: BinaryIO) -> set[str] | None:
         return None
 
 
-def _refuse(data: bytes) -> NoReturn:
+def refuse(data: bytes) -> NoReturn:
+    """Raises `ClipError`: what reads the bytes of a robot motion."""
     raise ClipError("this is a robot motion (.npz), not a clip: nothing to retarget")
-
-
-ROBOT_MOTION: Final = Format(
-    name="npz",
-    about="FastMimic robot motion (.npz)",
-    suffixes=(".npz",),
-    detect=lambda content: _holds_arrays(io.BytesIO(content.data)),
-    parse=_refuse,
-    takes=(),
-    binary=True,
-)

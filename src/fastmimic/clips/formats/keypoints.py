@@ -13,10 +13,10 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.clips.clip import DOG, DOG_KEYPOINTS, POINT_NAMES, Clip
-from fastmimic.clips.formats.format import Format
+from fastmimic.clips.clip import DOG, DOG_KEYPOINTS, Clip
+from fastmimic.clips.formats.format import Content
 from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.points import Tracks, clip_of, tracks_format
+from fastmimic.clips.formats.points import Tracks
 from fastmimic.clips.formats.text_table import read_table, to_array
 
 COLUMNS: Final = 81
@@ -32,20 +32,10 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, frames:
     toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
     values = to_array(rows, COLUMNS, lambda c: f"point {c // 3} {'xyz'[c % 3]}", "dog keypoints")
-    rate = DEFAULT_RATE_HZ if fps is None else float(fps)
-    chosen = [DOG_KEYPOINTS[name] for name in POINT_NAMES]
-    assumed = [] if fps is not None else [f"{rate:g} frames a second: the file does not say"]
-    return clip_of(values.reshape(-1, 27, 3), chosen, rate, up=up, assumed=assumed, skeleton=DOG, frames=frames)
-
-
-FORMAT: Final = Format(
-    name="keypoints",
-    about=f"dog keypoints, {COLUMNS} columns of text",
-    suffixes=(".txt",),
-    detect=lambda content: COLUMNS in content.columns,
-    parse=parse,
-    takes=("fps", "up", "frames"),
-)
+    notes = () if fps is not None else (f"{DEFAULT_RATE_HZ:g} frames a second: the file does not say",)
+    names = [str(i) for i in range(DOG.points)]
+    tracks = Tracks(names, values.reshape(-1, DOG.points, 3), DEFAULT_RATE_HZ, notes=notes, skeleton=DOG)
+    return tracks.clip(fps=fps, up=up, frames=frames, point_map={name: names[i] for name, i in DOG_KEYPOINTS.items()})
 
 
 def read_named(text: str) -> Tracks:
@@ -61,6 +51,11 @@ def read_named(text: str) -> Tracks:
     return Tracks(list(points), positions, times=None if time is None else (header[time], values[:, time]))
 
 
+def names_points(content: Content) -> bool:
+    """Whether a text's header has enough points by name."""
+    return len(_named_points(content.table.header or ())) >= _FEWEST
+
+
 def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
     """Columns x, y and z of each complete point, in file order."""
     found: dict[str, dict[str, int]] = {}
@@ -69,12 +64,3 @@ def _named_points(header: Sequence[str]) -> dict[str, list[int]]:
         if match is not None:
             found.setdefault(match[1].strip(), {})[(match[2] or match[3]).lower()] = column
     return {name: [axes[a] for a in "xyz"] for name, axes in found.items() if len(axes) == 3}
-
-
-NAMED_FORMAT: Final = tracks_format(
-    "points",
-    "keypoints by name, a header with NAME_x, NAME_y, NAME_z of ten points, or of six without hips",
-    (".csv",),
-    lambda content: len(_named_points(content.table.header or ())) >= _FEWEST,
-    read_named,
-)

@@ -18,7 +18,6 @@ from fastmimic.base.files import read_json
 from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
-from fastmimic.clips.formats.format import Content, Format
 from fastmimic.clips.formats.gaps import Part, mend, part_for
 from fastmimic.clips.formats.point_names import BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
@@ -185,53 +184,6 @@ def check_right_handed(points: Array) -> None:
         )
 
 
-def clip_of(
-    body: Array,
-    chosen: Sequence[int | None],
-    rate_hz: float,
-    *,
-    up: str | None,
-    assumed: Sequence[str],
-    skeleton: Skeleton | None = None,
-    confidence: Array | None = None,
-    frames: Part | None = None,
-    unit_m: float | None = None,
-    is_level: bool = True,
-) -> Clip:
-    """A clip of all points `body` (t, k, 3) of a file, in its axes and unit, with `chosen` (10,) indices of the ten,
-    None for hips that are to be inferred, and the assumptions so far. `up` is one of `UP_AXES`; if None, the axis along
-    which the hips are above the toes; `unit_m` and `is_level` are as in `find_axes`. `skeleton` is between the k
-    points; only the ten are kept if None. Points may be missing (NaN, or a `confidence` (t, k) too low): short gaps are
-    filled; of longer ones, the clip is the part with `frames` (first, end) in it, or the longest, and lists all in
-    `meta["parts"]`. Raises `ClipError` for an impossible frame rate, frames that hold a gap, or if it is not an
-    upright, right-handed animal."""
-    check_rate(rate_hz)
-    places, known = _places(chosen)
-    mended = mend(body[:, places], rate_hz, None if confidence is None else confidence[:, places])
-    seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
-    axes = find_axes(seen, rate_hz, up, unit_m, is_level)
-    seen = axes.to_world(seen)
-    check_right_handed(seen if all(known) else with_hips(seen)[0])
-    notes = [*assumed, *mended.notes, *axes.notes]
-    height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
-    (first, end), left_out = part_for(mended.parts, frames, len(body))
-    points, legs = axes.to_world(mended.points)[first:end], None
-    if not all(known):
-        points, legs, inferred = with_hips(points)
-        notes.append(inferred)
-        height = float(np.mean(points[:, 2:6, 2] - points[:, 6:10, 2]))
-    notes.append(f"coordinates are in {axes.unit}: hips {height:.2f} m above the toes on average")
-    meta: dict[str, Any] = {"assumed": notes + left_out}
-    if mended.parts != [(0, len(body))]:
-        meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
-    clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
-    if skeleton is None:
-        return clip
-    drawn = axes.to_world(body)[first:end]
-    drawn[:, np.array(places)[known]] = points[:, known]
-    return replace(clip, body_w=drawn, skeleton=skeleton)
-
-
 def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
     """Indices (10,) in which the spine stands in for hips that are not in the file, and which are in it."""
     stand_in = {2: chosen[1], 3: chosen[1], 4: chosen[0], 5: chosen[0]}
@@ -298,6 +250,12 @@ _RADIUS: Final = 0.02  # m, of drawn bones
 _UNEVEN: Final = 0.25  # share of a frame's duration: times may be rounded to milliseconds
 
 
+def skeleton_of(parents: Sequence[int]) -> Skeleton | None:
+    """The bones of joints with these parents, -1 for a root; None without any."""
+    bones = tuple((parent, joint) for joint, parent in enumerate(parents) if parent >= 0)
+    return Skeleton(len(parents), bones, (_RADIUS,) * len(bones)) if bones else None
+
+
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Tracked points or joints; None for what the file does not say."""
@@ -310,17 +268,42 @@ class Tracks:
     unit_m: float | None = None  # the file's unit in metres
     is_level: bool = True  # whether an axis is vertical; not so in a camera's axes
     notes: tuple[str, ...] = ()  # what was assumed
-    parents: Sequence[int] = ()  # of the joints of a skeleton, -1 for a root; empty for points
+    skeleton: Skeleton | None = None  # between all the points; of a clip without, only the ten are kept
 
-    def clip(self, *, fps: float | None, **options: Any) -> Clip:
-        """The clip; `fps` and the options `up`, `point_map` and `frames` as in `ReadOptions`. Raises `ClipError`: no
-        frame rate, unknown points, or what `clip_of` refuses."""
-        rate = self._rate() if fps is None else float(fps)
-        chosen, assumed = choose(self.names, options.pop("point_map"))
-        bones = tuple((parent, joint) for joint, parent in enumerate(self.parents) if parent >= 0)
-        skeleton = Skeleton(len(self.names), bones, (_RADIUS,) * len(bones)) if bones else None
-        options |= {"confidence": self.confidence, "unit_m": self.unit_m, "is_level": self.is_level}
-        return clip_of(self.positions, chosen, rate, assumed=[*self.notes, *assumed], skeleton=skeleton, **options)
+    def clip(self, *, fps: float | None, up: str | None, point_map: PointMap | None, frames: Part | None) -> Clip:
+        """The clip; the options are as in `ReadOptions`. Points may be missing (NaN, or with too low a confidence):
+        short gaps are filled; of longer ones, the clip is the part with `frames` in it, or the longest, and lists all
+        in `meta["parts"]`. Raises `ClipError`: no frame rate or an impossible one, unknown points, frames that hold a
+        gap, or no upright, right-handed animal."""
+        rate_hz = self._rate() if fps is None else float(fps)
+        chosen, assumed = choose(self.names, point_map)
+        check_rate(rate_hz)
+        places, known = _places(chosen)
+        confidence = None if self.confidence is None else self.confidence[:, places]
+        mended = mend(self.positions[:, places], rate_hz, confidence)
+        seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
+        axes = find_axes(seen, rate_hz, up, self.unit_m, self.is_level)
+        seen = axes.to_world(seen)
+        check_right_handed(seen if all(known) else with_hips(seen)[0])
+        notes = [*self.notes, *assumed, *mended.notes, *axes.notes]
+        n = len(self.positions)
+        (first, end), left_out = part_for(mended.parts, frames, n)
+        points, legs = axes.to_world(mended.points)[first:end], None
+        if not all(known):
+            points, legs, inferred = with_hips(points)
+            notes.append(inferred)
+            seen = points
+        height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
+        notes.append(f"coordinates are in {axes.unit}: hips {height:.2f} m above the toes on average")
+        meta: dict[str, Any] = {"assumed": notes + left_out}
+        if mended.parts != [(0, n)]:
+            meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
+        clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
+        if self.skeleton is None:
+            return clip
+        drawn = axes.to_world(self.positions)[first:end]
+        drawn[:, np.array(places)[known]] = points[:, known]
+        return replace(clip, body_w=drawn, skeleton=self.skeleton)
 
     def _rate(self) -> float:
         if self.times is not None:
@@ -336,29 +319,17 @@ class Tracks:
         return self.rate_hz
 
 
-def tracks_format(
-    name: str,
-    about: str,
-    suffixes: tuple[str, ...],
-    detect: Callable[[Content], bool],
-    read: Callable[[Any], Tracks],
-    *,
-    binary: bool = False,
-) -> Format:
-    """The format of a file whose text (or bytes) `read` reads, with the options of all tracks. Whatever a library says
-    of damaged bytes becomes a `ClipError`."""
-
-    def parse(content: str | bytes, **options: Any) -> Clip:
-        try:
-            tracks = read(content)
-        except Exception as error:
-            if isinstance(error, ClipError) or not binary:
-                raise
-            # libraries raise a dozen kinds
-            raise ClipError(f"a damaged file, or none of {about}: {str(error)[:200] or type(error).__name__}") from None
-        return tracks.clip(**options)
-
-    return Format(name, about, suffixes, detect, parse, ("fps", "up", "point_map", "frames"), binary)
+def parse_tracks(read: Callable[[Any], Tracks], about: str, content: str | bytes, **options: Any) -> Clip:
+    """The clip of a file whose text or bytes `read` reads, with the options of all tracks; `about` is the format's.
+    Whatever a library says of damaged bytes becomes a `ClipError`."""
+    try:
+        tracks = read(content)
+    except Exception as error:
+        if isinstance(error, ClipError) or isinstance(content, str):
+            raise
+        # libraries raise a dozen kinds
+        raise ClipError(f"a damaged file, or none of {about}: {str(error)[:200] or type(error).__name__}") from None
+    return tracks.clip(**options)
 
 
 def most_complete(individuals: Sequence[str], positions: Array) -> tuple[int, tuple[str, ...]]:

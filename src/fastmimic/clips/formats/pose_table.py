@@ -22,7 +22,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.formats.format import Content
-from fastmimic.clips.formats.points import Tracks, library, most_complete, tracks_format
+from fastmimic.clips.formats.points import Tracks, library, most_complete
 from fastmimic.clips.formats.text_table import Row, Table, read_table, to_array
 
 FLAT: Final = (
@@ -32,6 +32,7 @@ FLAT: Final = (
 Column = tuple[str, str, str]
 """Individual (empty if the file names none), point, and coordinate: x, y, z or likelihood."""
 _ROTATION: Final = [f"M_{i}{j}" for i in range(3) for j in range(3)]
+ANIPOSE: Final = {"fnum", *_ROTATION}  # among its columns
 
 
 def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = False) -> Tracks:
@@ -83,29 +84,11 @@ def _rows(table: Table) -> list[Row]:
     return table.rows if table.header is None else [Row(1, table.header), *table.rows]
 
 
-def _is_deeplabcut(content: Content) -> bool:
+def is_deeplabcut(content: Content) -> bool:
+    """Whether the first lines name the columns as DeepLabCut does."""
     firsts = [row.fields[0] for row in _rows(content.table)[:4]]
     before = firsts[: firsts.index("coords")] if "coords" in firsts else []
     return before[:1] == ["scorer"] and "bodyparts" in before
-
-
-DEEPLABCUT: Final = tracks_format(
-    "deeplabcut",
-    "3D points of DeepLabCut or Lightning Pose, a table",
-    (".csv",),
-    _is_deeplabcut,
-    read_deeplabcut,
-)
-ANIPOSE: Final = tracks_format(
-    "anipose",
-    "3D points of Anipose, a table",
-    (".csv",),
-    lambda content: {"fnum", *_ROTATION} <= set(content.table.header or ()),
-    read_anipose,
-)
-
-
-_MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 
 
 def read_hdf5(data: bytes) -> Tracks:
@@ -149,16 +132,6 @@ class _Labels(pickle.Unpickler):
         raise pickle.UnpicklingError(f"{module}.{name} among the columns' names")
 
 
-HDF5: Final = tracks_format(
-    "hdf5",
-    "3D points of DeepLabCut, SLEAP or sleap-anipose, HDF5",
-    (".h5",),
-    lambda content: content.data.startswith(_MAGIC),
-    read_hdf5,
-    binary=True,
-)
-
-
 _KEY: Final = 0x50  # second byte of every C3D
 _BLOCK: Final = 512
 _UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -179,9 +152,7 @@ def read_c3d(data: bytes) -> Tracks:
     return Tracks(names[: points.shape[1]], positions, float(file.point_rate), unit_m=_UNITS.get(unit))
 
 
-def _is_c3d(content: Content) -> bool:
+def is_c3d(content: Content) -> bool:
+    """Whether a binary file begins like a C3D."""
     data = content.data
     return not content.text and len(data) > 1 and data[1] == _KEY and 1 < data[0] < len(data) // _BLOCK + 2
-
-
-C3D: Final = tracks_format("c3d", "markers of motion capture (.c3d)", (".c3d",), _is_c3d, read_c3d, binary=True)

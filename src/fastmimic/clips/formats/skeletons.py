@@ -22,13 +22,13 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.base.files import open_arrays
 from fastmimic.base.rotations import matrix_from_quat
-from fastmimic.clips.formats.format import members
-from fastmimic.clips.formats.points import Tracks, library, tracks_format
+from fastmimic.clips.formats.points import Tracks, library, skeleton_of
 from fastmimic.clips.formats.text_table import Row, is_number, to_array
 
 KEYWORD: Final = "HIERARCHY"
 _CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 _DEEPEST: Final = 500
+AI4ANIMATION: Final = {"bone_names.npy", "positions.npy", "framerate.npy"}  # arrays of its archives
 
 
 @dataclass
@@ -52,8 +52,8 @@ def read_bvh(text: str) -> Tracks:
     values = to_array(rows, len(columns), columns.__getitem__, "a BVH's channels")
     if declared != len(values):
         raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
-    parents = [joint.parent for joint in joints]
-    return Tracks([joint.name for joint in joints], _placed(joints, values), 1.0 / frame_s, parents=parents)
+    skeleton = skeleton_of([joint.parent for joint in joints])
+    return Tracks([joint.name for joint in joints], _placed(joints, values), 1.0 / frame_s, skeleton=skeleton)
 
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
@@ -149,12 +149,6 @@ def _placed(joints: list[_Joint], values: Array) -> Array:
     return positions
 
 
-BVH: Final = tracks_format(
-    "bvh", "BVH, a hierarchy of joints", (".bvh",), lambda content: content.start.startswith(KEYWORD), read_bvh
-)
-
-
-_MAGIC: Final = b"glTF"
 _TYPES: Final = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _SIZES: Final = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _ROUNDING: Final = 0.01  # share of a frame: times are of single precision
@@ -191,7 +185,7 @@ def read_glb(data: bytes) -> Tracks:
     names = [node.name or f"node_{i}" for i, node in enumerate(file.nodes)]
     notes = (f"of {len(file.animations)} animations, '{animation.name}' is read",) if len(file.animations) > 1 else ()
     positions, rate = _positions(file.nodes, parents, moved, len(times)), 1.0 / float(times[1] - times[0])
-    return Tracks(names, positions, rate, notes=notes, parents=bones)
+    return Tracks(names, positions, rate, notes=notes, skeleton=skeleton_of(bones))
 
 
 def _accessor(file: Any, blob: bytes, index: int) -> Array:
@@ -258,19 +252,6 @@ def _local(node: Any, moved: dict[str, Array], n: int) -> Array:
     return found
 
 
-GLB: Final = tracks_format(
-    "glb",
-    "animated skeleton in glTF's binary form (.glb)",
-    (".glb",),
-    lambda content: content.data.startswith(_MAGIC),
-    read_glb,
-    binary=True,
-)
-
-
-_MEMBERS: Final = {"bone_names.npy", "positions.npy", "framerate.npy"}
-
-
 def read_ai4animation(data: bytes) -> Tracks:
     """Reads such a file; raises `ClipError` for other shapes."""
     with open_arrays(io.BytesIO(data)) as file:
@@ -279,14 +260,4 @@ def read_ai4animation(data: bytes) -> Tracks:
         positions, rate = np.asarray(file["positions"], dtype=float), float(file["framerate"])
     if positions.shape[1:] != (len(names), 3) or len(parents) not in (0, len(names)):
         raise ClipError(f"positions of shape {positions.shape} for {len(names)} bones; expected (frames, bones, 3)")
-    return Tracks(names, positions, rate, parents=parents)
-
-
-AI4ANIMATION: Final = tracks_format(
-    "ai4animation",
-    "motion of AI4AnimationPy (.npz)",
-    (".npz",),
-    lambda content: (members(io.BytesIO(content.data)) or set()) >= _MEMBERS,
-    read_ai4animation,
-    binary=True,
-)
+    return Tracks(names, positions, rate, skeleton=skeleton_of(parents))
