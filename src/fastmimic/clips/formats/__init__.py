@@ -19,7 +19,7 @@ from fastmimic.clips.travel import with_travel
 
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
-_READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[[Any], Any]]]] = {
+_READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[..., Any]]]] = {
     "npz": (lambda content: content.holds_motion, refuse),
     "csv": (csv_motion.detect, csv_motion.parse),
     "keypoints": (lambda content: keypoints.COLUMNS in content.columns, keypoints.parse),
