@@ -22,7 +22,7 @@ def parameter_tables() -> str:
     """A table for each class of settings, Markdown."""
     from fastmimic.base.configuration import describe
     from fastmimic.base.text import markdown_table
-    from fastmimic.control import config, config_parts
+    from fastmimic.control import config
     from fastmimic.deploy.safety import SafetyLimits
     from fastmimic.estimation.config import EstimatorConfig
     from fastmimic.learning.config import PolicyConfig
@@ -30,8 +30,8 @@ def parameter_tables() -> str:
     from fastmimic.simulation.config import SensorConfig
 
     controller = (
-        *(config.ControllerConfig, config_parts.GaitConfig, config_parts.StanceConfig, config_parts.HorizonConfig),
-        *(config_parts.SwingConfig, RegulatorConfig, config_parts.LoadConfig),
+        *(config.ControllerConfig, config.GaitConfig, config.StanceConfig, config.HorizonConfig),
+        *(config.SwingConfig, RegulatorConfig, config.LoadConfig),
     )
     header = ("parameter", "default", "unit", "range", "meaning")
     lines = []

@@ -8,10 +8,10 @@ from fastmimic.clips.segment import Segment as Segment
 from fastmimic.clips.segment import SegmentConfig as SegmentConfig
 from fastmimic.clips.segment import find_segments as find_segments
 from fastmimic.control.config import ControllerConfig as ControllerConfig
-from fastmimic.control.config_parts import GaitConfig as GaitConfig
-from fastmimic.control.config_parts import HorizonConfig as HorizonConfig
-from fastmimic.control.config_parts import StanceConfig as StanceConfig
-from fastmimic.control.config_parts import SwingConfig as SwingConfig
+from fastmimic.control.config import GaitConfig as GaitConfig
+from fastmimic.control.config import HorizonConfig as HorizonConfig
+from fastmimic.control.config import StanceConfig as StanceConfig
+from fastmimic.control.config import SwingConfig as SwingConfig
 from fastmimic.control.controller import Controller as Controller
 from fastmimic.dataset import BuildRequest as BuildRequest
 from fastmimic.dataset import BuildSettings as BuildSettings

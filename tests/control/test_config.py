@@ -18,7 +18,7 @@ from fastmimic.control.config import (
     pack_config,
     paper_config,
 )
-from fastmimic.control.config_parts import GaitConfig, StanceConfig, SwingConfig
+from fastmimic.control.config import GaitConfig, StanceConfig, SwingConfig
 from fastmimic.control.controller import gains_of
 from fastmimic.robot import load_robot
 

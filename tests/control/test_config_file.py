@@ -19,7 +19,7 @@ from fastmimic.control.config import (
     paper_config,
     read_config,
 )
-from fastmimic.control.config_parts import LoadConfig
+from fastmimic.control.config import LoadConfig
 from fastmimic.control.controller import Controller
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion

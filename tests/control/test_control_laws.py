@@ -19,7 +19,7 @@ from fastmimic.base.rotations import (
     rotate_planar,
 )
 from fastmimic.control.config import ControllerConfig, default_config, paper_config
-from fastmimic.control.config_parts import SwingConfig
+from fastmimic.control.config import SwingConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions

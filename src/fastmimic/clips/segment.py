@@ -12,32 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, stretches
-from fastmimic.base.configuration import check, documented, parameter
+from fastmimic.base.configuration import check, tabulated
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import turned_about_z
 from fastmimic.clips.clip import Clip
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class SegmentConfig:
     """How takes are cut."""
 
-    shortest_s: float = parameter(0.25, unit="s", above=0.0, about="shortest cycle")
-    longest_s: float = parameter(1.5, unit="s", above=0.0, about="longest cycle")
-    aperiodic: float = parameter(0.45, above=0.0, about="d' above which a frame rather does not repeat")
-    onset: float = parameter(2.0, above=0.0, about="cost of beginning or ending a stretch that repeats, in units of d'")
-    drift: float = parameter(6.0, above=0.0, about="cost of changing the lag, for each unit of its logarithm")
-    tempo: float = parameter(0.12, above=0.0, about="largest relative change of the period within a segment")
-    speed: float = parameter(0.25, above=0.0, about="largest change of speed within a segment, share, plus 0.1 m/s")
-    turning: float = parameter(0.30, unit="rad", above=0.0, about="largest change of the turn in a cycle")
-    footfall: float = parameter(0.16, unit="cycles", above=0.0, about="largest change of any leg's phase")
-    turn_rad: float = parameter(0.26, unit="rad", above=0.0, about="a segment that turns more in a cycle is a turn")
-    still_m: float = parameter(
-        0.02, unit="m", above=0.0, about="toes and trunk that move less than this in half a second stand"
-    )
-    stand_s: float = parameter(0.5, unit="s", above=0.0, about="shortest standing that is reported")
-    discrete_s: float = parameter(0.25, unit="s", above=0.0, about="shortest other movement that is reported")
+    shortest_s: float = 0.25
+    longest_s: float = 1.5
+    aperiodic: float = 0.45
+    onset: float = 2.0
+    drift: float = 6.0
+    tempo: float = 0.12
+    speed: float = 0.25
+    turning: float = 0.30
+    footfall: float = 0.16
+    turn_rad: float = 0.26
+    still_m: float = 0.02
+    stand_s: float = 0.5
+    discrete_s: float = 0.25
 
     def __post_init__(self) -> None:
         check(self, "segment: ")

@@ -1,5 +1,9 @@
 """The controller's parameters: one set for all motions and robots, its variants by name or file, its form for kernels.
 
+Forces are multiples of the robot's weight, and gains of the trunk act on accelerations and angles: neither depends on
+the robot. The rest has the values of an A1 and is scaled to another robot (`fastmimic.robot.robot`): joint gains by
+what the joints move, R by the mass squared, lengths by the leg.
+
 A file names a set ("default" if absent) and the changes to it; "identified" is a note for people:
 
     {"format": "fastmimic controller", "version": 1, "base": "default",
@@ -11,35 +15,124 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.configuration import changed, check, documented, pack, parameter, record_fields
+from fastmimic.base.configuration import changed, check, pack, record_fields, tabulated
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import packaged, read_json
 from fastmimic.base.jit import record_dtype
 from fastmimic.base.text import plain
-from fastmimic.control.config_parts import GaitConfig, HorizonConfig, LoadConfig, StanceConfig, SwingConfig
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import combined, joint_ratio, length_ratio, mass_ratio
 
 FILE_FORMAT: Final = {"format": "fastmimic controller", "version": 1}
 
+Vector6 = tuple[float, float, float, float, float, float]
+Vector3 = tuple[float, float, float]
 
-@documented
+MAX_HORIZON_STEPS: Final = 20
+
+
+@tabulated
+@dataclass(frozen=True)
+class GaitConfig:
+    """Which leg stands and which swings (paper, §III-B1)."""
+
+    planner: Literal["schedule", "full"] = "full"
+    contact_threshold: float = 0.3
+    release_threshold: float = 0.02
+    min_switch_time: float = 0.1
+    early_takeoff_time: float = 0.04
+    step_reach: tuple[float, float] = (0.3, 0.15)
+    least_step_time: float = 0.05
+    most_haste: float = 0.5
+    follow_ground: bool = True
+    ground_time: float = 0.3
+    rough_lift: float = 3.0
+    recovery_steps: bool = True
+    recovery_reach: tuple[float, float, float] = (0.33, 0.22, 0.055)
+    recovery_top_speed: float = 1.8
+    recovery_switch_time: float = 0.03
+
+
+@tabulated
+@dataclass(frozen=True)
+class StanceConfig:
+    """Forces of the standing legs (paper, eq. 1 and 2). Axes: x, y, z, roll, pitch, yaw in the heading frame."""
+
+    forces: Literal["instant", "horizon"] = "instant"
+    feedback: Literal["regulator", "constant"] = "regulator"
+    position_gain: Vector6 = (40.0, 40.0, 300.0, 600.0, 600.0, 600.0)
+    velocity_gain: Vector6 = (20.0, 20.0, 35.0, 75.0, 75.0, 75.0)
+    acceleration_weight: Vector6 = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    disturbance_time: float = 0.5
+    reference_acceleration: float = 1.0
+    leg_momentum: bool = True
+    acceleration_limit: Vector6 = (15.0, 15.0, 25.0, 150.0, 150.0, 150.0)
+    force_weight: float = 1e-4
+    friction: float = 0.6
+    friction_sides: int = 8
+    min_force: float = 0.02
+    max_force: float = 3.0
+    adaptation: Literal["off", "paper", "full"] = "full"
+    joint_stiffness: float = 30.0
+    joint_damping: float = 2.5
+    leg_dynamics: bool = True
+
+
+@tabulated
+@dataclass(frozen=True)
+class HorizonConfig:
+    """Convex model predictive control (Di Carlo et al. 2018), used where `StanceConfig.forces` is "horizon". Axes: x,
+    y, z, roll, pitch, yaw in the heading frame. Forces are multiples of the weight, so the weights do not depend on the
+    robot's mass. Friction and the bounds on f_z are those of `StanceConfig`."""
+
+    steps: int = 10
+    step_s: float = 0.03
+    solve_rate_hz: float = 50.0
+    position_weight: Vector6 = (100.0, 100.0, 1000.0, 1000.0, 1000.0, 30.0)
+    velocity_weight: Vector6 = (2.0, 2.0, 0.5, 0.02, 0.02, 1.0)
+    force_weight: float = 1e-2
+
+
+@tabulated
+@dataclass(frozen=True)
+class SwingConfig:
+    """Feet in the air (paper, eq. 3)."""
+
+    foothold: Literal["regulator", "reference", "raibert"] = "regulator"
+    velocity_feedback: tuple[float, float] = (0.03, 0.03)
+    joint_stiffness: float = 120.0
+    joint_damping: float = 3.5
+    leg_dynamics: bool = True
+    level: float = 1.0
+    liftoff_blend_time: float = 0.03
+    swing_time: float = 0.2
+    swing_height: float = 0.05
+
+
+@tabulated
+@dataclass(frozen=True)
+class LoadConfig:
+    """A payload that the controller knows of."""
+
+    mass: float = 0.0
+    position: Vector3 = (0.0, 0.0, 0.0)
+
+
+@tabulated
 @dataclass(frozen=True)
 class ControllerConfig:
     """All parameters of the controller; its parts are described at their classes."""
 
     name: str = "default"
-    rate_hz: float = parameter(500.0, unit="Hz", above=0.0, high=10_000.0, key="", about="control steps a second")
-    joint_margin: float = parameter(
-        0.01, unit="rad", about="distance from the joint limits that commanded positions keep"
-    )
+    rate_hz: float = 500.0
+    joint_margin: float = 0.01
     gait: GaitConfig = dataclasses.field(default_factory=GaitConfig)
     stance: StanceConfig = dataclasses.field(default_factory=StanceConfig)
     horizon: HorizonConfig = dataclasses.field(default_factory=HorizonConfig)

@@ -23,7 +23,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_of, heading_vector
-from fastmimic.control.config_parts import MAX_HORIZON_STEPS
+from fastmimic.control.config import MAX_HORIZON_STEPS
 from fastmimic.control.horizon_preview import foresee
 from fastmimic.control.native import OPTIMAL, solve_qp
 from fastmimic.control.stance import friction_rows

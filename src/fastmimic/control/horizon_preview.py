@@ -8,7 +8,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_of, heading_vector, quat_to_matrix, rotation_error, times, turn_rows
-from fastmimic.control.config_parts import MAX_HORIZON_STEPS
+from fastmimic.control.config import MAX_HORIZON_STEPS
 from fastmimic.control.joint_commands import REGULATED
 from fastmimic.control.stance import force_column
 

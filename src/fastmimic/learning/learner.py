@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.configuration import check, documented, parameter
+from fastmimic.base.configuration import check, tabulated
 from fastmimic.base.errors import ConfigError
 from fastmimic.learning.config import ACTION_SIZE, PolicyConfig
 from fastmimic.learning.episodes import EPISODE_S, Episodes
@@ -49,28 +49,26 @@ def choose_device(name: str) -> str:
     return name
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class TrainingSettings:
     """Settings of PPO and its episodes: they determine the result, with robot, motion and number of steps."""
 
-    seed: int = parameter(0, about="of weights, actions and episodes")
-    robots: int = parameter(64, low=1, about="number of robots simulated at once")
-    horizon: int = parameter(32, low=1, about="policy steps of each robot between two updates")
+    seed: int = 0
+    robots: int = 64
+    horizon: int = 32
     hidden: tuple[int, ...] = (512, 256)  # widths of the hidden layers of actor and critic
-    epochs: int = parameter(10, low=1, about="passes over the steps in an update")
-    minibatches: int = parameter(4, low=1, about="number of minibatches of a pass")
-    learning_rate: float = parameter(1e-3, above=0.0, about="initial value; it then adapts to `desired_kl`")
-    desired_kl: float = parameter(0.04, above=0.0, about="target change of the policy per update")
-    discount: float = parameter(0.95, above=0.0, below=1.0, about="γ")
-    trace: float = parameter(0.95, high=1.0, about="λ")
-    entropy: float = parameter(0.0, about="weight of the entropy bonus")
-    exploration: float = parameter(
-        0.5, above=0.0, about="initial standard deviation of the actions, in units of `PolicyConfig.action_scale`"
-    )
-    episode_s: float = parameter(EPISODE_S, unit="s", above=0.0, about="greatest length of an episode")
+    epochs: int = 10
+    minibatches: int = 4
+    learning_rate: float = 1e-3
+    desired_kl: float = 0.04
+    discount: float = 0.95
+    trace: float = 0.95
+    entropy: float = 0.0
+    exploration: float = 0.5
+    episode_s: float = EPISODE_S
     randomize: tuple[Range, ...] = ()  # of robots and grounds
-    update_threads: int = parameter(1, low=1, about="of the linear algebra; the bits of the result depend on it")
+    update_threads: int = 1
     policy: PolicyConfig = field(default_factory=PolicyConfig)
 
     def __post_init__(self) -> None:

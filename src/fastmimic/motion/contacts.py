@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, stretches
-from fastmimic.base.configuration import documented, parameter
+from fastmimic.base.configuration import tabulated
 
 
 class Stance(NamedTuple):
@@ -26,24 +26,18 @@ class Stance(NamedTuple):
 Stances = list[list[Stance]]  # of each leg, in order of time
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class ContactConfig:
     """How contacts are detected; activity is that of `foot_activity`."""
 
-    enter: float = parameter(0.25, about="a foot lands when its activity falls below this")
-    leave: float = parameter(0.30, about="a foot lifts off when its activity rises above this")
-    height_weight: float = parameter(
-        0.5,
-        about="weight of height against speed; below 1, because an animal rolls over its toes and the marker rises by a"
-        " quarter of the swing height while the foot still carries weight",
-    )
-    window_s: float = parameter(0.75, unit="s", about="how far before and after a moment the largest values are sought")
-    least_height_m: float = parameter(
-        0.03, unit="m", scale="length", about="a foot that rises less in that time is standing"
-    )
-    least_speed_m_per_s: float = parameter(0.6, unit="m/s", about="a foot that is slower in that time is standing")
-    shortest_s: float = parameter(0.06, unit="s", about="shorter stances and swings are flicker")
+    enter: float = 0.25
+    leave: float = 0.30
+    height_weight: float = 0.5
+    window_s: float = 0.75
+    least_height_m: float = 0.03
+    least_speed_m_per_s: float = 0.6
+    shortest_s: float = 0.06
 
 
 def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Array:

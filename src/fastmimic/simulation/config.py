@@ -4,12 +4,12 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from fastmimic.base.configuration import check, documented, parameter, parameters
+from fastmimic.base.configuration import check, parameters, tabulated
 
 _A1_GEAR: Final = 9.1
 
 
-@documented
+@tabulated
 @dataclass(frozen=True)
 class SensorConfig:
     """Sensors of a small quadruped such as the A1. Noise is white, drawn for each reading; errors that last are drawn
@@ -24,45 +24,34 @@ class SensorConfig:
     walking.
     """
 
-    imu_rate_hz: float = parameter(
-        500.0, unit="Hz", above=0.0, key="", about="IMU readings, at most one a control step; each holds until the next"
-    )
-    joint_rate_hz: float = parameter(500.0, unit="Hz", above=0.0, key="", about="joint readings")
-    foot_rate_hz: float = parameter(250.0, unit="Hz", above=0.0, key="", about="foot readings")
-    imu_latency_s: float = parameter(
-        0.004, unit="s", key="", about="until an IMU reading arrives, rounded to control steps"
-    )
-    joint_latency_s: float = parameter(0.004, unit="s", key="", about="until a joint reading arrives")
-    foot_latency_s: float = parameter(0.006, unit="s", key="", about="until a foot reading arrives")
-    gyro_noise: float = parameter(0.01, unit="rad/s", about="of each reading [A]")
-    gyro_bias: float = parameter(0.002, unit="rad/s", about="of each axis [B]")
-    gyro_bias_walk: float = parameter(1e-4, unit="rad/s/√s", about="random walk of the bias")
-    accel_noise: float = parameter(0.1, unit="m/s²", about="of each reading [A]")
-    accel_bias: float = parameter(0.03, unit="m/s²", about="of each axis [B]")
-    accel_bias_walk: float = parameter(1e-3, unit="m/s²/√s", about="random walk of the bias")
-    orientation_noise: float = parameter(
-        0.001,
-        unit="rad",
-        about="of the IMU's own orientation about each axis; its vertical is off by the accelerometer's bias over g,"
-        " and its heading drifts by the gyro's bias and noise",
-    )
-    tilt_error: float = parameter(0.002, unit="rad", about="a slow additional error in roll and pitch")
-    tilt_time: float = parameter(5.0, unit="s", above=0.0, about="correlation time of the tilt error")
-    joint_pos_noise: float = parameter(0.001, unit="rad", about="of each reading [A]")
-    joint_pos_quantum: float = parameter(2 * math.pi / 2**14 / _A1_GEAR, unit="rad", about="resolution [C]")
-    joint_offset: float = parameter(
-        0.003, unit="rad", about="of the zero position; the motor's own position loop has the same offset"
-    )
-    joint_vel_noise: float = parameter(0.1, unit="rad/s", about="of each reading [A]")
-    joint_vel_quantum: float = parameter(1 / 128 / _A1_GEAR, unit="rad/s", about="resolution [C]")
-    torque_noise: float = parameter(0.1, unit="N·m", about="of each reading [A]")
-    torque_quantum: float = parameter(_A1_GEAR / 256, unit="N·m", about="resolution [C]")
-    torque_gain_error: float = parameter(0.05, about="of each joint, relative")
-    foot_noise: float = parameter(4.0, unit="N", about="of each reading")
-    foot_quantum: float = parameter(1.0, unit="N", about="resolution")
-    foot_gain_error: float = parameter(0.1, about="of each foot, relative")
-    foot_offset: float = parameter(5.0, unit="N", about="of each foot [D]")
-    foot_offset_walk: float = parameter(1.0, unit="N/√s", about="random walk of the offset [D]")
+    imu_rate_hz: float = 500.0
+    joint_rate_hz: float = 500.0
+    foot_rate_hz: float = 250.0
+    imu_latency_s: float = 0.004
+    joint_latency_s: float = 0.004
+    foot_latency_s: float = 0.006
+    gyro_noise: float = 0.01
+    gyro_bias: float = 0.002
+    gyro_bias_walk: float = 1e-4
+    accel_noise: float = 0.1
+    accel_bias: float = 0.03
+    accel_bias_walk: float = 1e-3
+    orientation_noise: float = 0.001
+    tilt_error: float = 0.002
+    tilt_time: float = 5.0
+    joint_pos_noise: float = 0.001
+    joint_pos_quantum: float = 2 * math.pi / 2**14 / _A1_GEAR
+    joint_offset: float = 0.003
+    joint_vel_noise: float = 0.1
+    joint_vel_quantum: float = 1 / 128 / _A1_GEAR
+    torque_noise: float = 0.1
+    torque_quantum: float = _A1_GEAR / 256
+    torque_gain_error: float = 0.05
+    foot_noise: float = 4.0
+    foot_quantum: float = 1.0
+    foot_gain_error: float = 0.1
+    foot_offset: float = 5.0
+    foot_offset_walk: float = 1.0
 
     def __post_init__(self) -> None:
         check(self, "sensors: ")
