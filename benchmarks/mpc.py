@@ -20,8 +20,7 @@ import numpy as np
 from rollout import environment
 
 import fastmimic as fm
-from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.control.config import HorizonConfig
+from fastmimic.control.config import ControllerConfig, HorizonConfig, default_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.native import OPTIMAL, solve_qp
 from fastmimic.episode.loop import ClosedLoop

@@ -13,12 +13,14 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.control.config import (
     CONFIGS,
     ControllerConfig,
+    GaitConfig,
+    StanceConfig,
+    SwingConfig,
     controller_config,
     default_config,
     pack_config,
     paper_config,
 )
-from fastmimic.control.config import GaitConfig, StanceConfig, SwingConfig
 from fastmimic.control.controller import gains_of
 from fastmimic.robot import load_robot
 

@@ -13,13 +13,13 @@ from fastmimic.control.config import (
     CONFIGS,
     FILE_FORMAT,
     ControllerConfig,
+    LoadConfig,
     controller_config,
     default_config,
     loaded_robot,
     paper_config,
     read_config,
 )
-from fastmimic.control.config import LoadConfig
 from fastmimic.control.controller import Controller
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion

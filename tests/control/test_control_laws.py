@@ -18,8 +18,7 @@ from fastmimic.base.rotations import (
     quat_rotate_inverse,
     rotate_planar,
 )
-from fastmimic.control.config import ControllerConfig, default_config, paper_config
-from fastmimic.control.config import SwingConfig
+from fastmimic.control.config import ControllerConfig, SwingConfig, default_config, paper_config
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions

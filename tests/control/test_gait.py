@@ -5,8 +5,7 @@ import pytest
 
 from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.control.config import ControllerConfig, pack_config
-from fastmimic.control.config import GaitConfig
+from fastmimic.control.config import ControllerConfig, GaitConfig, pack_config
 from fastmimic.control.stance import plan_leg
 from fastmimic.robot.state import MEMORY
 

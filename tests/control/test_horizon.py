@@ -11,8 +11,7 @@ from control.rig import Rig, disturbed, on_reference
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
-from fastmimic.control.config import ControllerConfig, default_config
-from fastmimic.control.config import HorizonConfig, StanceConfig
+from fastmimic.control.config import ControllerConfig, HorizonConfig, StanceConfig, default_config
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import nominal_start
 from fastmimic.motion.motion import Motion

@@ -8,8 +8,7 @@ import pytest
 from control.motions import gait
 from control.rig import Rig, disturbed, on_reference
 from fastmimic.base.errors import ConfigError
-from fastmimic.control.config import ControllerConfig, controller_config, default_config, paper_config
-from fastmimic.control.config import SwingConfig
+from fastmimic.control.config import ControllerConfig, SwingConfig, controller_config, default_config, paper_config
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot

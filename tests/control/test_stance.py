@@ -8,8 +8,7 @@ import pytest
 
 from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.control.config import ControllerConfig, pack_config
-from fastmimic.control.config import StanceConfig
+from fastmimic.control.config import ControllerConfig, StanceConfig, pack_config
 from fastmimic.control.controller import SCRATCH, constant_gains_of
 from fastmimic.control.native import make_workspace
 from fastmimic.control.stance import (

@@ -10,8 +10,7 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, transposed_times
-from fastmimic.control.config import ControllerConfig, default_config, loaded_robot, pack_config
-from fastmimic.control.config import StanceConfig
+from fastmimic.control.config import ControllerConfig, StanceConfig, default_config, loaded_robot, pack_config
 from fastmimic.control.footing import see_ground
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT

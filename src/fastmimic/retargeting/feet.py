@@ -13,6 +13,7 @@ from fastmimic.motion.contacts import Stance, Stances, contact_mask, swings_of
 from fastmimic.retargeting.track import TrunkTrack, WorldPath
 from fastmimic.robot import Robot
 
+MIN_CLEARANCE_SHARE = 0.8  # least height of a swing, of the animal's
 _DEGREE = 3
 _AT_REST = 3  # coefficients of a cubic B-spline that fix position, velocity and acceleration at an end
 _FLAT = 0.1  # a swing with less than this share of its clearance gets a plain sin² shape

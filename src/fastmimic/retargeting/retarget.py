@@ -9,7 +9,7 @@ every clip. The steps are in these modules:
     feet               footholds within reach, and smooth swings between them
     fit, pose          the trunk's height, and joints within their ranges
     steps              calls all of the above on one clip; without a cycle, the trunk no lower than folded legs allow
-    fidelity, report   what changed
+    report             what changed
 """
 
 from collections.abc import Callable
@@ -24,8 +24,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
 from fastmimic.retargeting.config import RetargetConfig
-from fastmimic.retargeting.fidelity import make_report
-from fastmimic.retargeting.report import RetargetReport, with_executable
+from fastmimic.retargeting.report import RetargetReport, make_report, with_executable
 from fastmimic.retargeting.steps import DOG_SCALE, Retargeting, whether_cycle
 from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot

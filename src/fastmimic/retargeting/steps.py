@@ -12,9 +12,8 @@ from fastmimic.clips.clip import Clip
 from fastmimic.motion.contacts import contact_mask, detect, foot_activity
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
-from fastmimic.retargeting.feet import Reach, foot_offsets, footholds, plant_feet
+from fastmimic.retargeting.feet import MIN_CLEARANCE_SHARE, Reach, foot_offsets, footholds, plant_feet
 from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
-from fastmimic.retargeting.report import MIN_CLEARANCE_SHARE
 from fastmimic.retargeting.track import (
     ScaledClip,
     cycle_displacement,
