@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from fastmimic.learning.config import ACTION_SIZE, FRAME_SIZE, HISTORY, IMU_SIZE, OBSERVATION_SIZE, PolicyConfig
-from fastmimic.learning.policy import Policy
+from fastmimic.learning.policy import Policy, infer
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 
@@ -35,6 +35,13 @@ def follower(robot: Robot, motion: Motion, seed: int = 0) -> Policy:
         config=config,
         seed=seed,
     )
+
+
+def actions_of(policy: Policy, seen: np.ndarray) -> np.ndarray:
+    """Actions (n, 12) for observations (n, `OBSERVATION_SIZE`)."""
+    actions = np.zeros((len(seen), ACTION_SIZE))
+    infer(policy.network(), seen, actions)
+    return actions
 
 
 def random_policy(rng: np.random.Generator, hidden: tuple[int, ...] = (24, 16), activation: str = "elu") -> Policy:

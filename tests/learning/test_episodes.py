@@ -16,7 +16,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Range, draw_uniform, parse_range
-from learning.hand_made import follower
+from learning.hand_made import actions_of, follower
 
 DECIMATION = PolicyConfig().decimation
 
@@ -64,7 +64,7 @@ def test_a_policy_earns_in_training_what_it_earns_in_an_evaluation(robot: Robot,
     seen = episodes.reset()
     total, same_start = np.zeros(n), np.ones(n, dtype=bool)
     for step in range(steps):
-        outcome = episodes.step(policy.act(seen))
+        outcome = episodes.step(actions_of(policy, seen))
         seen = outcome.seen
         total += outcome.reward
         at = (step + 1) * DECIMATION - 1

@@ -24,7 +24,7 @@ from fastmimic.control.joint_commands import (
 )
 from fastmimic.control.native import make_workspace, seconds_now
 from fastmimic.control.recovery import LEAVES, begin_or_end_recovery, stay_with
-from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, plan_leg, stance_forces
+from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, begin_legs, plan_leg, stance_forces
 from fastmimic.control.tracking import (
     body_frame,
     compare_to_reference,
@@ -284,10 +284,7 @@ class Controller:
 
     def reset(self, sample: NDArray[np.int64]) -> None:
         """Starts each robot in the leg states that its reference has at `sample` (n,)."""
-        self.memory[...] = np.zeros((), MEMORY)
-        rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
-        self.memory["stance"] = self.tables["contact"][rows, sample]
-        self.memory["since_switch"] = 1e3
+        begin_legs(self.memory, self.tables, sample)
         self.plan["valid"] = 0
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:

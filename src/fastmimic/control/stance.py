@@ -13,6 +13,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
@@ -22,6 +23,13 @@ MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32
 _DIAGONAL = math.sqrt(0.5)
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
+
+
+def begin_legs(memory: NDArray[Any], tables: NDArray[Any], sample: NDArray[np.int64]) -> None:
+    """Clears the memory (n,) of `MEMORY`; leg states become those of the tables (1 or n, t) at `sample` (n,)."""
+    memory[...] = np.zeros((), memory.dtype)
+    memory["stance"] = tables["contact"][np.minimum(np.arange(len(memory)), len(tables) - 1), sample]
+    memory["since_switch"] = 1e3
 
 
 @inlined

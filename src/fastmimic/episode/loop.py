@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
-from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, turned_about_z, yaw_from_quat
+from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, default_config, loaded_robot
 from fastmimic.control.controller import Controller, gains_of
 from fastmimic.episode.observer import Observer
@@ -25,7 +25,6 @@ from fastmimic.reference.table import (
     place_clocks,
     reference_table,
     stack_tables,
-    world_root,
 )
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
@@ -60,10 +59,9 @@ MakeController = Callable[[Robot, Motion, int, ControllerConfig], LoopController
 
 def on_reference(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> Placement:
     """The states at samples (n,) of a table (t,) of `SAMPLE` with its origin at (n, 3) (x, y, yaw) in the world."""
-    position, quat = world_root(table, sample, origin)
-    velocity, turning = (turned_about_z(table[name][sample], origin[:, 2]) for name in ("lin_vel", "ang_vel"))
-    joints, speeds = table["joint_pos"][sample], table["joint_vel"][sample]
-    return Placement(position, quat, joints, velocity, quat_rotate_inverse(quat, turning), speeds)
+    due = demonstration_in_world(table, sample, origin)
+    turning = quat_rotate_inverse(due["root_quat"], due["ang_vel"])
+    return Placement(due["root_pos"], due["root_quat"], due["joint_pos"], due["lin_vel"], turning, due["joint_vel"])
 
 
 class ClosedLoop:

@@ -23,7 +23,7 @@ from fastmimic.base.errors import ConfigError, PolicyError, naming
 from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.config import ControllerConfig, pack_config
-from fastmimic.control.stance import plan_leg
+from fastmimic.control.stance import begin_legs, plan_leg
 from fastmimic.episode.loop import MakeController
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
@@ -116,15 +116,6 @@ class Policy:
             self.deviation.astype(np.float64),
             np.zeros((2, max(self.sizes))),
         )
-
-    def act(self, observations: NDArray[Any]) -> Array:
-        """Actions (n, 12) for observations (n, `OBSERVATION_SIZE`); raises `PolicyError` for another size."""
-        seen = np.atleast_2d(np.asarray(observations, np.float32))
-        if seen.shape[-1] != self.sizes[0]:
-            raise PolicyError(f"observations of {seen.shape[-1]} numbers for a policy that takes {self.sizes[0]}")
-        actions = np.zeros((len(seen), ACTION_SIZE))
-        infer(self.network(), seen, actions)
-        return actions
 
     def check(self, robot: Robot, motion: Motion) -> None:
         """Raises `PolicyError` if the policy was trained for another robot or another motion."""
@@ -264,10 +255,7 @@ class PolicyController:
 
     def reset(self, sample: NDArray[np.int64]) -> None:
         """Clears the memory; leg states become those of the reference motion at `sample` (n,)."""
-        self.memory[...] = np.zeros((), MEMORY)
-        rows = np.minimum(np.arange(len(self.memory)), len(self.tables) - 1)
-        self.memory["stance"] = self.tables["contact"][rows, sample]
-        self.memory["since_switch"] = 1e3
+        begin_legs(self.memory, self.tables, sample)
         self._senses[...] = make_senses(len(self._senses))
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:

@@ -50,11 +50,9 @@ class PlanarTwist:
     @classmethod
     def from_cycle(cls, origin: Array, cycle: Array) -> "PlanarTwist":
         """From the pose (x, y, yaw) at phase 0 and the displacement (dx, dy, dyaw) in its frame."""
-        cycle = np.asarray(cycle, dtype=np.float64)
         turns = 2 * np.pi * np.round(cycle[2] / (2 * np.pi)) if abs(cycle[2]) > 1.5 * np.pi else 0.0
         angle = float(cycle[2] - turns)
-        translation = planar_log(np.array([*cycle[:2], angle]))[:2]
-        return cls(np.array(origin, dtype=np.float64), translation, angle, float(turns))
+        return cls(origin, planar_log(np.array([*cycle[:2], angle]))[:2], angle, float(turns))
 
     def pose(self, phase: Array) -> tuple[Array, Array]:
         """World position (..., 2) and unwrapped heading (...) of X at phases (...)."""
@@ -272,9 +270,8 @@ class MotionDmp:
         """
         goal = _finite("goal", self.goal if goal is None else goal)
         amplitude = _finite("amplitude", self.amplitude if amplitude is None else amplitude)
-        y = self._course(goal, amplitude)
-        position, quat, lin_vel, ang_vel = self._root(y)
-        table = self._foot_table(y[None, :, FEET])
+        position, quat, lin_vel, ang_vel = self.root(goal, amplitude)
+        table = self.foot_table(goal[None], amplitude[None])
         return Motion(
             rate_hz=self.fitted.rate_hz,
             root_pos_w=position,
@@ -295,22 +292,17 @@ class MotionDmp:
         Raises `MotionError`: arrays of another shape, or with a value that is not finite."""
         n = len(np.atleast_2d(goal))
         goal, amplitude = _finite("goal", goal, n), _finite("amplitude", amplitude, n)
-        return self._foot_table(self._course(goal[:, None, FEET], amplitude[:, None, FEET], FEET))
+        feet = self._course(goal[:, None, FEET], amplitude[:, None, FEET], FEET).reshape(n, -1, 4, 3)
+        return foot_table(self.robot, feet, self.fitted.rate_hz, self.fitted.cycle is not None)
 
     def root(self, goal: Array, amplitude: Array) -> tuple[Array, Array, Array, Array]:
         """Root of a candidate with g (24,) and a (24,): world position (t, 3), quaternion (t, 4), linear and angular
         velocity (t, 3), SI units. Raises `MotionError`: arrays of another shape, or with a value that is not finite."""
-        return self._root(self._course(_finite("goal", goal), _finite("amplitude", amplitude)))
-
-    def _root(self, y: Array) -> tuple[Array, Array, Array, Array]:
+        y = self._course(_finite("goal", goal), _finite("amplitude", amplitude))
         position, quat, lin_vel, ang_vel = root_from_coordinates(y, self.twist, self.fitted.period_s)
         if quat[0] @ self.fitted.root_quat_wxyz[0] < 0:  # the same sign of the quaternion
             quat = -quat
         return position, quat, lin_vel, ang_vel
-
-    def _foot_table(self, feet: Array) -> FootTable:
-        periodic = self.fitted.cycle is not None
-        return foot_table(self.robot, feet.reshape(len(feet), -1, 4, 3), self.fitted.rate_hz, periodic)
 
     def _course(self, goal: Array, amplitude: Array, dimensions: slice = slice(None)) -> Array:
         """Dimensions (..., t, d) of the path, modulated by (..., 1 or t, d)."""
