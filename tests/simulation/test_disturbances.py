@@ -22,7 +22,7 @@ from fastmimic.simulation.conditions import (
     parse_disturbance,
 )
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind, loaded
-from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.simulators import SIMULATORS, Simulator, make_simulation
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -42,8 +42,8 @@ def place(simulation: MujocoSimulation, robot: Robot, height: float | None = Non
     simulation.reset(np.array([0, 0, height]), quat, home, np.zeros(3), np.zeros(3), np.zeros(12))
 
 
-def disturbed(robot: Robot, *given: Disturbance) -> DisturbedMujocoSimulation:
-    return DisturbedMujocoSimulation(robot, max(len(d.values) for d in given), given)
+def disturbed(robot: Robot, *given: Disturbance) -> MujocoSimulation:
+    return MujocoSimulation(robot, max(len(d.values) for d in given), given)
 
 
 def at_rest(robot: Robot, *given: Disturbance, seconds: float = 0.6) -> np.ndarray:
@@ -106,7 +106,7 @@ class TestNothingElseChanges:
         what adding a payload of nothing rounds."""
         kinds = [k for k in DISTURBANCES.values() if k.name not in ("restitution", "softness")]
         given = [Disturbance(kind.name, (kind.nominal,)) for kind in kinds]
-        simulations = [MujocoSimulation(robot, 1), DisturbedMujocoSimulation(robot, 1, given)]
+        simulations = [MujocoSimulation(robot, 1), MujocoSimulation(robot, 1, given)]
         rng = np.random.default_rng(0)
         for simulation in simulations:
             place(simulation, robot)
@@ -115,9 +115,6 @@ class TestNothingElseChanges:
             a, b = (simulation.step(commands) for simulation in simulations)
         np.testing.assert_allclose(b["root_pos"], a["root_pos"], atol=1e-7)
         np.testing.assert_allclose(b["joint_vel"], a["joint_vel"], atol=1e-4)
-
-    def test_without_disturbances_the_plain_simulation_runs(self, robot: Robot) -> None:
-        assert type(make_simulation(robot, 1, Conditions(), control_rate_hz=500.0)) is MujocoSimulation
 
     def test_a_robot_among_others_is_as_alone(self, robot: Robot) -> None:
         """A whole range in one batch gives each robot what it would meet alone."""

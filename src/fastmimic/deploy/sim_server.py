@@ -22,7 +22,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.conditions import Disturbance, make_world
 from fastmimic.simulation.config import SensorConfig
-from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import PHYSICS_RATE_HZ
 
@@ -77,9 +77,7 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
         names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
         config = dataclasses.replace(usual, **{name: getattr(usual, name) - _LINK_S for name in names})
     world = make_world(settings.disturbances, 1, "mujoco")
-    simulation = MujocoSimulation(robot, 1, control_rate_hz=PHYSICS_RATE_HZ)
-    if not all(d.kind.sensed for d in settings.disturbances):
-        simulation = DisturbedMujocoSimulation(robot, 1, settings.disturbances, control_rate_hz=PHYSICS_RATE_HZ)
+    simulation = MujocoSimulation(robot, 1, settings.disturbances, control_rate_hz=PHYSICS_RATE_HZ)
     sensors = Sensors(robot, 1, RATE_HZ, config, world)
     body = SimulatedBody(robot, simulation, sensors, PHYSICS_RATE_HZ, settings.start, settings.watchdog_s)
     body.reset(np.random.default_rng(settings.seed))

@@ -31,7 +31,7 @@ from fastmimic.robot.kinematics import leg_forward
 from fastmimic.robot.state import COMMAND, MEMORY
 from fastmimic.simulation.conditions import Disturbance, Range, draw_uniform
 from fastmimic.simulation.conditions import part as part_of
-from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.simulators import Placement
 
 Seen = NDArray[np.float32]
@@ -193,11 +193,7 @@ class Shard:
         config: PolicyConfig,
         robots: tuple[Disturbance, ...],
     ) -> None:
-        self.simulation: MujocoSimulation = (
-            DisturbedMujocoSimulation(robot, n, robots, control_rate_hz=config.control_rate_hz)
-            if robots
-            else MujocoSimulation(robot, n, control_rate_hz=config.control_rate_hz)
-        )
+        self.simulation = MujocoSimulation(robot, n, robots, control_rate_hz=config.control_rate_hz)
         self.counts = np.zeros(n, _COUNT)
         self._config = config
         self._tables = table[None]

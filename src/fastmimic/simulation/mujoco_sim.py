@@ -194,21 +194,27 @@ MOTORS: Final = record_dtype(floats(strength=(), limit=12, top_speed=12))
 """One robot's motors: share of the commanded torque that they give, torque limits, N·m, and top speeds, rad/s."""
 
 
-class MujocoSimulation:
-    """A batch of identical robots. Not for several Python threads at once."""
+class MujocoSimulation(Disturbed):
+    """A batch of identical robots, or of robots that disturbances make differ from each other and from the model that
+    their controllers know. For disturbances: `model`, `batch` (its fields by robot), `world` (all values), `trunk`
+    (body), `joint_dofs` (12,), `trunk_force` (n, 3) in N, world frame, for this control step; and `constants_changed`,
+    to be set after changes of masses, inertias, gravity or joints. Not for several Python threads at once."""
 
     def __init__(
         self,
         robot: Robot,
         n: int,
+        disturbances: Sequence[Disturbance] = (),
         *,
         control_rate_hz: float = 500.0,
         threads: int = 1,
         ground: Terrain | None = None,
         ideal: bool = False,
     ) -> None:
-        """With `ideal`, motors have their torque at any speed, and legs pass through each other. Raises `ConfigError`
-        if the physics rate is not a multiple of the control rate."""
+        """`robot` is without the disturbances. With `ideal`, motors have their torque at any speed, and legs pass
+        through each other. Raises `ConfigError` if the physics rate is not a multiple of the control rate, or as
+        `make_world`."""
+        super().__init__(make_world(disturbances, n, "mujoco"))
         self.substeps, self.ground = substeps_of(control_rate_hz), ground
         self.model = build_model(robot, ground, ideal=ideal)
         self.batch = Batch(self.model, n, nthread=threads)
@@ -219,15 +225,32 @@ class MujocoSimulation:
         self._sensors = self.batch.bind("sensordata")
         self._bias = self.batch.expand("actuator_biasprm")
         self._torques = self.batch.expand("actuator_forcerange")
-        self.motors = np.zeros(n, MOTORS)
-        self.motors["strength"], self.motors["limit"] = 1.0, robot.torque_limit
-        self.motors["top_speed"] = np.inf if ideal else robot.joint_speed_limit
         joints = [self.model.joint(name).id for name in robot.joint_names]
         addresses = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints], [ground is None]
         self._index = np.concatenate(addresses).astype(np.int64)
+        self.joint_dofs = self._index[12:24]
+        self.trunk = int(self.model.jnt_bodyid[0])
+        self.constants_changed = False
+        for name in DISTURBANCES:
+            change = DISTURBANCES[name].apply.get("mujoco")
+            if change is not None and self.world.has(name):
+                change(self, self.world[name])
+        if self.constants_changed:
+            self.batch.set_const()
+        self.motors = np.zeros(n, MOTORS)
+        self.motors["strength"], self.motors["limit"] = self.world["motor-strength"], robot.torque_limit
+        self.motors["top_speed"] = np.inf if ideal else robot.joint_speed_limit
+        if self.world.has("top-speed"):
+            self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
+        self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
+        self._forces = self.batch.bind("xfrc_applied") if self._pushed else np.zeros(0)
+        self._delay = Delay(self.world["delay"], PHYSICS_RATE_HZ, self.substeps)
+        self._delayed, self._steps = bool(self._delay.late.any()), 0
 
     def reset(self, *state: Array) -> None:
-        """Puts the robots into given states, the arrays of `Placement`."""
+        """Puts the robots into given states, the arrays of `Placement`; the clocks of pushes and delay restart."""
+        self._steps, self._headings = 0, None
+        self._forces[:] = 0.0
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._set(np.arange(len(self.observation)), Placement(*state))
         self.batch.forward()
@@ -243,11 +266,10 @@ class MujocoSimulation:
         self.observation["other_contact"][rows] = 0.0
 
     def _set(self, rows: NDArray[np.int64], state: Placement) -> None:
-        joints, joint_dofs = self._index[:12], self._index[12:24]
         self._qpos[rows, :3], self._qpos[rows, 3:7] = state.root_pos, state.root_quat
-        self._qpos[rows[:, None], joints] = state.joint_pos
+        self._qpos[rows[:, None], self._index[:12]] = state.joint_pos
         self._qvel[rows, :3], self._qvel[rows, 3:6] = state.lin_vel, state.ang_vel_b
-        self._qvel[rows[:, None], joint_dofs] = state.joint_vel
+        self._qvel[rows[:, None], self.joint_dofs] = state.joint_vel
         self._ctrl[rows] = 0.0
         self._bias[rows, :, 1:3] = 0.0
 
@@ -257,59 +279,21 @@ class MujocoSimulation:
         return self.observation
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        self.drive(commands)
-        self.batch.step(nstep=self.substeps)
+        """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
+        if self._pushed:
+            self.push(self._steps * self.substeps / PHYSICS_RATE_HZ, self._qpos[:, 3:7])
+            self._forces[:, self.trunk, :3] = self.trunk_force
+        if self._delayed:
+            self._delay.send(commands, self._steps)
+            for substep in range(self.substeps):
+                self.drive(self._delay.arrived(self._steps, substep))
+                self.batch.step(nstep=1)
+        else:
+            self.drive(commands)
+            self.batch.step(nstep=self.substeps)
+        self._steps += 1
         return self.observe()
 
     def drive(self, commands: NDArray[Any]) -> None:
         """Sends the motors their commands."""
         actuate(commands, self._qvel, self._index, self.motors, self._ctrl, self._bias, self._torques)
-
-
-class DisturbedMujocoSimulation(MujocoSimulation, Disturbed):
-    """A batch of robots that differ from each other and from the model that their controllers know. For disturbances:
-    `model`, `batch` (its fields by robot), `world` (all values), `trunk` (body), `joint_dofs` (12,), `trunk_force` (n,
-    3) in N, world frame, for this control step; and `constants_changed`, to be set after changes of masses, inertias,
-    gravity or joints."""
-
-    def __init__(self, robot: Robot, n: int, disturbances: Sequence[Disturbance], **options: Any) -> None:
-        """`robot` is without the disturbances; `options` and errors as for `MujocoSimulation`, and errors as for
-        `make_world`."""
-        Disturbed.__init__(self, make_world(disturbances, n, "mujoco"))
-        MujocoSimulation.__init__(self, robot, n, **options)
-        self.joint_dofs = self._index[12:24]
-        self.trunk = int(self.model.jnt_bodyid[0])
-        self.constants_changed = False
-        for name in DISTURBANCES:
-            change = DISTURBANCES[name].apply.get("mujoco")
-            if change is not None and self.world.has(name):
-                change(self, self.world[name])
-        if self.constants_changed:
-            self.batch.set_const()
-        self.motors["strength"] = self.world["motor-strength"]
-        if self.world.has("top-speed"):
-            self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
-        self._forces = self.batch.bind("xfrc_applied")
-        self._delay = Delay(self.world["delay"], PHYSICS_RATE_HZ, self.substeps)
-        self._steps = 0
-        self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
-
-    def reset(self, *state: Array) -> None:
-        """As `MujocoSimulation.reset`; the clocks of pushes and delay restart."""
-        self._steps = 0
-        self._headings = None
-        self._forces[:] = 0.0
-        super().reset(*state)
-
-    def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        if self._pushed:
-            self.push(self._steps * self.substeps / PHYSICS_RATE_HZ, self._qpos[:, 3:7])
-            self._forces[:, self.trunk, :3] = self.trunk_force
-        step, self._steps = self._steps, self._steps + 1
-        self._delay.send(commands, step)
-        if not self._delay.late.any():
-            return super().step(commands)
-        for substep in range(self.substeps):
-            self.drive(self._delay.arrived(step, substep))
-            self.batch.step(nstep=1)
-        return self.observe()

@@ -72,18 +72,16 @@ def _options(conditions: "Conditions", control_rate_hz: float) -> dict[str, Any]
 
 
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
-    from fastmimic.simulation.mujoco_sim import DisturbedMujocoSimulation, MujocoSimulation
+    from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
-    options = _options(conditions, control_rate_hz) | {"threads": threads}
-    if not conditions.disturbances:
-        return MujocoSimulation(robot, n, **options)
-    return DisturbedMujocoSimulation(robot, n, conditions.disturbances, **options)
+    options = _options(conditions, control_rate_hz)
+    return MujocoSimulation(robot, n, conditions.disturbances, threads=threads, **options)
 
 
 def _pybullet(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.pybullet_sim import PybulletSimulation
 
-    return PybulletSimulation(robot, n, disturbances=conditions.disturbances, **_options(conditions, control_rate_hz))
+    return PybulletSimulation(robot, n, conditions.disturbances, **_options(conditions, control_rate_hz))
 
 
 def _check_pybullet(robot: Robot) -> None:
