@@ -210,7 +210,7 @@ class TestFailure:
 class TestRefused:
     def test_a_reference_at_another_rate(self, robot: Robot, trot: Motion) -> None:
         config = dataclasses.replace(default_config(), rate_hz=400.0)
-        with pytest.raises(ConfigError, match=r"'synthetic' has 500 samples a second .* runs at 400 Hz; retarget"):
+        with pytest.raises(ConfigError, match="'synthetic' has 500 samples a second; expected 400: retarget"):
             Controller(robot, [trot], 1, config)
 
     @pytest.mark.parametrize("count", [0, 2, 4])

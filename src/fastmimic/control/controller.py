@@ -250,11 +250,7 @@ class Controller:
         if len(motions) not in (1, n):
             raise ConfigError(f"{n} robots need 1 or {n} references, found {len(motions)}")
         for motion in motions:
-            if abs(motion.rate_hz - self.config.rate_hz) > 1e-9:
-                raise ConfigError(
-                    f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and the controller runs at"
-                    f" {self.config.rate_hz:g} Hz; retarget the clip with that rate"
-                )
+            motion.check_rate(self.config.rate_hz)
         self.tables = stack_tables(motions, robot)
         self.gains = np.stack([gains_of(motion, robot, self.config) for motion in motions])
         self.memory = np.zeros(n, MEMORY)

@@ -19,8 +19,7 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import gains_of
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition
-from fastmimic.reference.live_reference import LiveReference
-from fastmimic.reference.motion_set import MotionSet
+from fastmimic.reference.motion_set import LiveReference, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.table import (
     CLOCK,

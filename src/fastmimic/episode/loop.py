@@ -101,11 +101,11 @@ class ClosedLoop:
         self.table = self.controller.tables[0]
         self.clocks = make_clocks(demonstration, n)
         self.scorer = Scorer(robot, self.table, n, config, config.rate_hz)
-        self._animal_scorer = None
+        self._scorers = [self.scorer]
         if demonstration.animal is not None:
             # in the frame of the executable motion, which the clocks synchronise
             animal = reference_table(dataclasses.replace(demonstration.animal, demonstration=demonstration), robot)
-            self._animal_scorer = Scorer(robot, animal, n, config, config.rate_hz)
+            self._scorers.append(Scorer(robot, animal, n, config, config.rate_hz))
         self._seen: NDArray[Any] = self.simulation.observation
         self._truth: NDArray[Any] = self.simulation.observation
         self._followed = self.clocks  # the controller's own clocks
@@ -143,13 +143,13 @@ class ClosedLoop:
             summarised(after.since(before), b - a, rate_hz)
             for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
         )
-        found, animal = summarised(scorer.counted(), steps, rate_hz), self._animal_scorer
+        found, animal = summarised(scorer.counted(), steps, rate_hz), self._scorers[1:]
         return dataclasses.replace(
             found,
             log=recorder.log() if recorder is not None else None,
             parts=parts,
             estimation=self.observer.errors() if self.observer is not None else None,
-            reward_animal=found.reward_animal if animal is None else animal.tallies["reward_sum"] / steps,
+            reward_animal=animal[0].tallies["reward_sum"] / steps if animal else found.reward_animal,
         )
 
     def place(self, start: Start, references: Sequence[Motion] | NDArray[Any] | None = None) -> None:
@@ -163,9 +163,8 @@ class ClosedLoop:
         place = on_ground(self.terrain, self.robot, told._replace(joint_pos=joints))
         self.simulation.reset(*place._replace(lin_vel=place.lin_vel + start.velocity_offset))
         self.controller.reset(start.sample)
-        self.scorer.reset()
-        if self._animal_scorer is not None:
-            self._animal_scorer.reset()
+        for scorer in self._scorers:
+            scorer.reset()
         self._seen = self._truth = self.simulation.observation
         self._followed = self.clocks
         if self.observer is not None:
@@ -189,10 +188,9 @@ class ClosedLoop:
         advance_clocks(self.clocks, self.controller.tables, self._truth["root_pos"], self.controller.memory["haste"])
         truth = self._truth
         seen = truth if self.terrain is None else self.terrain.seen(truth)
-        self.scorer.score(self.clocks, truth, self.controller.memory, seen)
-        if self._animal_scorer is not None:
-            self._animal_scorer.tallies["fallen"] |= self.scorer.tallies["fallen"]
-            self._animal_scorer.score(self.clocks, truth, self.controller.memory, seen)
+        for scorer in self._scorers:  # that of the animal's motion ends with the robot's fall
+            scorer.tallies["fallen"] |= self.scorer.tallies["fallen"]
+            scorer.score(self.clocks, truth, self.controller.memory, seen)
         if self.observer is not None:
             self.observer.compare(seen, self.scorer.tallies)
 
@@ -222,12 +220,8 @@ class ClosedLoop:
         if isinstance(references, np.ndarray):
             tables = references
         else:
-            rate = self.controller.config.rate_hz
             for motion in references:
-                if abs(motion.rate_hz - rate) > 1e-9:
-                    raise ConfigError(
-                        f"reference '{motion.name}' has {motion.rate_hz:g} samples a second; expected {rate:g}"
-                    )
+                motion.check_rate(self.controller.config.rate_hz)
             robot = loaded_robot(self.robot, self.controller.config.load)
             tables = stack_tables(references, robot)
             if isinstance(self.controller, Controller):

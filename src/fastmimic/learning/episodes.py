@@ -84,11 +84,7 @@ class Episodes:
         config = config if config is not None else PolicyConfig()
         demonstration = motion.target
         demonstration.check_robot(robot.name)
-        if abs(demonstration.rate_hz - config.control_rate_hz) > 1e-9:
-            raise ConfigError(
-                f"motion '{demonstration.name}' has {demonstration.rate_hz:g} samples a second and joint targets go out"
-                f" at {config.control_rate_hz:g} Hz; retarget the clip with that rate"
-            )
+        demonstration.check_rate(config.control_rate_hz)
         for what, count in (("robots", n), ("threads", threads)):
             if count < 1:
                 raise ConfigError(f"{what} must be at least 1, found {count}")

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.errors import MotionError
+from fastmimic.base.errors import ConfigError, FastMimicError, MotionError
 from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.motion.provenance import Provenance
@@ -140,6 +140,12 @@ class Motion:
                 f"motion '{self.name}' is for robot '{of}', not for '{name}': give that robot (by its MJCF, if it is"
                 " your own), or retarget its clip"
             )
+
+    def check_rate(self, rate_hz: float, error: type[FastMimicError] = ConfigError) -> None:
+        """Raises `ConfigError`, or another error, if the motion has another rate."""
+        if abs(self.rate_hz - rate_hz) > 1e-9:
+            said = f"motion '{self.name}' has {self.rate_hz:g} samples a second; expected {rate_hz:g}"
+            raise error(f"{said}: retarget its clip with that rate")
 
     def save(self, path: str | Path | BinaryIO) -> None:
         """Writes an `.npz` without pickles, to a stream, or to a file, which is replaced only when complete; raises

@@ -25,8 +25,7 @@ from fastmimic.estimation.estimator import START
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.play.live_world import GettingUp, GettingUpPhase, LiveWorld
-from fastmimic.reference.live_reference import LiveReference
-from fastmimic.reference.motion_set import ALWAYS, IN_PLACE, MotionSet
+from fastmimic.reference.motion_set import ALWAYS, IN_PLACE, LiveReference, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.table import CLOCK, SAMPLE
 from fastmimic.robot import Robot

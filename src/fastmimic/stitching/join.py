@@ -97,11 +97,7 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
         if motion.cycle is None:
             raise MotionError(f"motion '{motion.name}' does not repeat; only cyclic motions can be stitched")
         motion.check_robot(robot.name)
-        if abs(motion.rate_hz - motions[0].rate_hz) > 1e-9:
-            raise MotionError(
-                f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and '{motions[0].name}'"
-                f" {motions[0].rate_hz:g}; stitched motions must have one rate"
-            )
+        motion.check_rate(motions[0].rate_hz, MotionError)
     if cycles is not None and len(cycles) != len(motions):
         raise ConfigError(f"{len(motions)} motions need as many numbers of cycles, found {len(cycles)}")
     counts = [default_cycles(m) for m in motions] if cycles is None else [int(c) for c in cycles]
