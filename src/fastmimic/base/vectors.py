@@ -59,6 +59,22 @@ def times(m: Array, v: Array, out: Array) -> None:
 
 
 @inlined
+def turned(m: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """m (x, y, z) for a 3 × 3 matrix."""
+    return (
+        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
+        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
+        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+    )
+
+
+@inlined
+def turned_back(m: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """mᵀ (x, y, z) for a 3 × 3 matrix."""
+    return turned(m.T, x, y, z)
+
+
+@inlined
 def transposed_times(m: Array, v: Array, out: Array) -> None:
     """mᵀ v for a 3 × 3 matrix."""
     for i in range(3):

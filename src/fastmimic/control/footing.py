@@ -135,14 +135,10 @@ def _write(obs: Any, memory: Any, seen: Any, scratch: Any) -> None:
     transposed_times(ground, obs.lin_vel, seen.lin_vel)
     transposed_times(ground, obs.ang_vel, seen.ang_vel)
     for k in range(3):
-        seen.root_pos[k] = obs.root_pos[k]
         scratch.uphill[k] = GRAVITY * ground[2, k]
+    seen.root_pos = obs.root_pos
     seen.root_pos[2] = (obs.root_pos[2] - height) * ground[2, 2]
-    for j in range(12):
-        seen.joint_pos[j], seen.joint_vel[j] = obs.joint_pos[j], obs.joint_vel[j]
-    for leg in range(4):
-        for k in range(3):
-            seen.foot_force[leg, k] = obs.foot_force[leg, k]
+    seen.joint_pos, seen.joint_vel, seen.foot_force = obs.joint_pos, obs.joint_vel, obs.foot_force
 
 
 @inlined

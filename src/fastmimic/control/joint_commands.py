@@ -7,7 +7,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
-from fastmimic.base.vectors import transposed_times
+from fastmimic.base.vectors import transposed_times, turned, turned_back
 from fastmimic.control.footing import lift_over
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
@@ -61,17 +61,13 @@ def swing_target(config: Any, ref: Any, scratch: Any, height_error: float, leg: 
     """Reference foot in the robot's body frame, levelled to gravity and ground by the factor `config.level`."""
     rotation, reference_rotation = scratch.rotation, scratch.reference_rotation
     x, y, z = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
-    hx = reference_rotation[0, 0] * x + reference_rotation[0, 1] * y + reference_rotation[0, 2] * z
-    hy = reference_rotation[1, 0] * x + reference_rotation[1, 1] * y + reference_rotation[1, 2] * z
-    hz = reference_rotation[2, 0] * x + reference_rotation[2, 1] * y + reference_rotation[2, 2] * z
+    hx, hy, hz = turned(reference_rotation, x, y, z)
     # a yaw error is not corrected by the swing foot
     yaw = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
     cy, sy = np.cos(yaw), np.sin(yaw)
     hx, hy = cy * hx + sy * hy, -sy * hx + cy * hy
     hz += height_error
-    lx = rotation[0, 0] * hx + rotation[1, 0] * hy + rotation[2, 0] * hz
-    ly = rotation[0, 1] * hx + rotation[1, 1] * hy + rotation[2, 1] * hz
-    lz = rotation[0, 2] * hx + rotation[1, 2] * hy + rotation[2, 2] * hz
+    lx, ly, lz = turned_back(rotation, hx, hy, hz)
     out[0] = x + config.level * (lx - x)
     out[1] = y + config.level * (ly - y)
     out[2] = z + config.level * (lz - z)
@@ -117,9 +113,7 @@ def raibert_path(
     y = start[1] + share * (y - start[1])
     z = start[2] + share * (z - start[2]) + 4.0 * config.swing_height * share * (1.0 - share)
     hz = z + height_error
-    lx = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * hz
-    ly = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * hz
-    lz = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * hz
+    lx, ly, lz = turned_back(rotation, x, y, hz)
     a, h, k, _ = leg_inverse(g, x + config.level * (lx - x), y + config.level * (ly - y), z + config.level * (lz - z))
     return a, h, k
 

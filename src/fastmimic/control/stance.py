@@ -9,7 +9,6 @@ switches of a leg are at least `min_switch_time` apart.
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 
 MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32
-_DIAGONAL = math.sqrt(0.5)
+_SIDES = np.array([[-1, 0], [1, 0], [0, -1], [0, 1], *(np.sqrt(0.5) * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]))])
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
 
 
@@ -111,22 +110,13 @@ def friction_rows(config: Any, k: int, qp: Any) -> int:
     """Writes the friction pyramids of k forces below the k simple bounds on f_z; returns how many rows, 4 k or 8 k."""
     n, row = 3 * k, 0
     qp.rows[: config.friction_sides * k * n] = 0.0
-    for i in range(k):
-        for side in range(2):
-            for sign in (-1.0, 1.0):  # sign · f_side − μ f_z ≤ 0
+    for first in range(0, config.friction_sides, 4):
+        for i in range(k):
+            for side in range(first, first + 4):  # the force along a side's normal − μ f_z ≤ 0
                 qp.rows[row * n + i] = -config.mu
-                qp.rows[row * n + k + 2 * i + side] = sign
+                qp.rows[row * n + k + 2 * i], qp.rows[row * n + k + 2 * i + 1] = _SIDES[side, 0], _SIDES[side, 1]
                 qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
                 row += 1
-    if config.friction_sides == 8:
-        for i in range(k):
-            for along in (-1.0, 1.0):
-                for across in (-1.0, 1.0):  # (± f_x ± f_y) / √2 − μ f_z ≤ 0
-                    qp.rows[row * n + i] = -config.mu
-                    qp.rows[row * n + k + 2 * i] = along * _DIAGONAL
-                    qp.rows[row * n + k + 2 * i + 1] = across * _DIAGONAL
-                    qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
-                    row += 1
     return row
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined
-from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows
+from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_error, transposed_times, turn_rows, turned
 from fastmimic.control.recovery import find_urgency
 from fastmimic.control.stance import force_column, invert_symmetric_3x3
 from fastmimic.reference.regulator import FEET, RATES, STATES
@@ -35,8 +35,7 @@ def _feet_and_com(model: Any, obs: Any, rotation: Array, feet: Array, arms: Arra
         com[k] /= model.mass
     for leg in range(4):
         x, y, z = feet[leg, 0] - com[0], feet[leg, 1] - com[1], feet[leg, 2] - com[2]
-        for k in range(3):
-            arms[leg, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z
+        arms[leg, 0], arms[leg, 1], arms[leg, 2] = turned(rotation, x, y, z)
         arms[leg, 2] -= model.foot_radius  # the ground is felt under the centre of the foot sphere
 
 

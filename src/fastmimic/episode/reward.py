@@ -18,7 +18,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import turned_about_z
-from fastmimic.base.vectors import quat_to_matrix, turn_rows
+from fastmimic.base.vectors import quat_to_matrix, turn_rows, turned
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.tracking_errors import TRACKING_SUMS, count_tracking
 from fastmimic.reference.table import world_root
@@ -190,15 +190,12 @@ def _score_feet(context: ScoringContext, ref: Any, obs: Any, truth: Any, tally: 
         tally.foot_error_sq[leg, 0] += (px - rx) ** 2
         tally.foot_error_sq[leg, 1] += (py - ry) ** 2
         tally.foot_error_sq[leg, 2] += (pz - rz) ** 2
-        wx = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-        wy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-        height = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + obs.root_pos[2]
-        ux = reference[0, 0] * rx + reference[0, 1] * ry + reference[0, 2] * rz
-        uy = reference[1, 0] * rx + reference[1, 1] * ry + reference[1, 2] * rz
-        height_ref = reference[2, 0] * rx + reference[2, 1] * ry + reference[2, 2] * rz + ref.root_pos[2]
+        wx, wy, wz = turned(rotation, px, py, pz)
+        ux, uy, uz = turned(reference, rx, ry, rz)
+        height = wz + obs.root_pos[2]
         dx = (c * wx + s * wy) - (cr * ux + sr * uy)
         dy = (-s * wx + c * wy) - (-sr * ux + cr * uy)
-        dz = height - height_ref
+        dz = height - (uz + ref.root_pos[2])
         total += dx * dx + dy * dy + _HEIGHT_WEIGHT * dz * dz
         # the sphere rolls: its centre moves on by ω × r without any slip
         pitching = obs.joint_vel[3 * leg + 1] + obs.joint_vel[3 * leg + 2]
@@ -206,8 +203,8 @@ def _score_feet(context: ScoringContext, ref: Any, obs: Any, truth: Any, tally: 
         turn_x = truth.ang_vel[0] + world[0, 0] * ex + world[0, 1] * ey + world[0, 2] * ez
         turn_y = truth.ang_vel[1] + world[1, 0] * ex + world[1, 1] * ey + world[1, 2] * ez
         loaded = obs.foot_force[leg, 2] > context.threshold
-        x = truth.root_pos[0] + (world[0, 0] * px + world[0, 1] * py + world[0, 2] * pz)
-        y = truth.root_pos[1] + (world[1, 0] * px + world[1, 1] * py + world[1, 2] * pz)
+        x, y, _ = turned(world, px, py, pz)
+        x, y = truth.root_pos[0] + x, truth.root_pos[1] + y
         roll_x, roll_y = foot_radius * turn_y * dt, -foot_radius * turn_x * dt
         _count_foot(tally, leg, ref.contact[leg] == 1, loaded, height - foot_radius, x, y, roll_x, roll_y)
     return total

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import floats, inlined, integers, record_dtype
+from fastmimic.base.vectors import turned
 
 POINTS: Final = 13
 SUCCESS_DISTANCE: Final = 0.5  # m from the reference
@@ -90,10 +91,8 @@ def _compare_points(
         q, due = obs.joint_pos[3 * leg : 3 * leg + 3], ref.joint_pos[3 * leg : 3 * leg + 3]
         own, wanted = _leg_points(geometry[leg], q), _leg_points(geometry[leg], due)
         for k in range(3):
-            p, r = own[k], wanted[k]
-            dx = _turned(frames[1], 0, r) - _turned(frames[0], 0, p)
-            dy = _turned(frames[1], 1, r) - _turned(frames[0], 1, p)
-            dz = _turned(frames[1], 2, r) - _turned(frames[0], 2, p)
+            here, due_there = turned(frames[0], *own[k]), turned(frames[1], *wanted[k])
+            dx, dy, dz = due_there[0] - here[0], due_there[1] - here[1], due_there[2] - here[2]
             tally.point_error_root += np.sqrt(dx * dx + dy * dy + dz * dz) / (POINTS - 1)
             dx, dy, dz = dx + x, dy + y, dz + z
             tally.point_error += np.sqrt(dx * dx + dy * dy + dz * dz) / POINTS
@@ -105,11 +104,6 @@ def _put(tally: Any, point: int, x: float, y: float, z: float) -> None:
     """Keeps a point's error from the reference that is never re-synchronised."""
     tally.course[0, point, 0], tally.course[0, point, 1] = x - tally.moved[0], y - tally.moved[1]
     tally.course[0, point, 2] = z
-
-
-@inlined
-def _turned(rotation: Array, row: int, p: tuple[float, float, float]) -> float:
-    return rotation[row, 0] * p[0] + rotation[row, 1] * p[1] + rotation[row, 2] * p[2]
 
 
 @inlined

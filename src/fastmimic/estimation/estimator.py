@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
-from fastmimic.base.vectors import copy, heading_of, quat_to_matrix, times
+from fastmimic.base.vectors import copy, heading_of, quat_to_matrix, times, turned
 from fastmimic.estimation.config import EstimatorConfig, pack_config
 from fastmimic.estimation.contact import (
     CONTACT_SCRATCH,
@@ -121,8 +121,7 @@ def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
         # the calf's angular velocity turns the sphere over its contact point
         pitching = dq[1] + dq[2]
         wx, wy, wz = g[0] + dq[0], g[1] + pitching * np.cos(q[0]), g[2] + pitching * np.sin(q[0])
-        turn_x = rotation[0, 0] * wx + rotation[0, 1] * wy + rotation[0, 2] * wz
-        turn_y = rotation[1, 0] * wx + rotation[1, 1] * wy + rotation[1, 2] * wz
+        turn_x, turn_y, _ = turned(rotation, wx, wy, wz)
         scratch.roll[leg, 0], scratch.roll[leg, 1] = config.foot_radius * turn_y, -config.foot_radius * turn_x
         scratch.roll[leg, 2] = 0.0
         for k in range(3):
@@ -136,11 +135,8 @@ def _sense_acceleration(config: Any, reading: Any, scratch: Any) -> None:
     """Level acceleration of the base; a reading is the mean over a step, so the orientation is that of its middle."""
     half, g, f = -0.5 * config.dt, reading.gyro, reading.accel
     tx, ty, tz = cross(half * g[0], half * g[1], half * g[2], f[0], f[1], f[2])
-    x, y, z = f[0] + tx, f[1] + ty, f[2] + tz
-    for k in range(3):
-        r = scratch.rotation[k]
-        scratch.accel[k] = r[0] * x + r[1] * y + r[2] * z
-    scratch.accel[2] -= GRAVITY
+    x, y, z = turned(scratch.rotation, f[0] + tx, f[1] + ty, f[2] + tz)
+    scratch.accel[0], scratch.accel[1], scratch.accel[2] = x, y, z - GRAVITY
 
 
 @inlined

@@ -189,8 +189,7 @@ def _sample(
         out.leg_lin_acc[k] = b.leg_lin_acc[k] + u * (c.leg_lin_acc[k] - b.leg_lin_acc[k])
         out.leg_ang_acc[k] = b.leg_ang_acc[k] + u * (c.leg_ang_acc[k] - b.leg_ang_acc[k])
     out.gain = b.gain
-    for leg in range(4):
-        out.contact[leg] = b.contact[leg]
+    out.contact = b.contact
     for k in range(3):
         if k != 1 and not neighbours:
             continue

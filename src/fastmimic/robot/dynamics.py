@@ -7,6 +7,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
+from fastmimic.base.vectors import turned
 from fastmimic.robot.robot import Robot
 from fastmimic.robot.state import pack_model
 
@@ -33,9 +34,7 @@ def _inertia_times(
     y = ca * v1 + sa * v2
     x = c * v0 - s * w
     z = s * v0 + c * w
-    m0 = inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z
-    m1 = inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z
-    m2 = inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z
+    m0, m1, m2 = turned(inertia, x, y, z)
     return rotated(sa, ca, s, c, m0, m1, m2)
 
 
