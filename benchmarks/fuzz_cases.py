@@ -292,7 +292,7 @@ def _motions(scratch: Path) -> list[Case]:
     from fastmimic.commands.motion_files import Export, Inspect
     from fastmimic.commands.options import ClipOptions
     from fastmimic.motion.motion import Motion
-    from fastmimic.optimize.checkpoint import Checkpoint
+    from fastmimic.optimize.cma_es import Checkpoint
     from fastmimic.runs.loading import load_motion
 
     motion = load_motion("trot", "a1")

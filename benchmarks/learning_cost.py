@@ -13,8 +13,8 @@ from fastmimic.base.errors import OutputError
 from fastmimic.experiments.comparison_run import RUNS, Row, finished_row
 from fastmimic.experiments.measurement import NONE, Summary, spread, summaries
 from fastmimic.imitation.methods import RL, method_named
-from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
-from fastmimic.optimize.checkpoint import Checkpoint
+from fastmimic.optimize.cma_es import Checkpoint
+from fastmimic.runs.work_folder import CHECKPOINT
 
 if TYPE_CHECKING:
     from fastmimic.learning.training import Evaluated

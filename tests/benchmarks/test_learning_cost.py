@@ -17,7 +17,8 @@ from fastmimic.base.errors import CheckpointError, OutputError, PolicyError
 from fastmimic.base.text import csv_text
 from fastmimic.experiments.comparison_run import ROW
 from fastmimic.learning.training import Evaluated
-from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
+from fastmimic.optimize.cma_es import Checkpoint
+from fastmimic.runs.work_folder import CHECKPOINT
 from learning.hand_made import random_policy
 
 COLUMNS = list(Evaluated.__dataclass_fields__)
@@ -47,7 +48,7 @@ def finished(comparison: Path, method: str, seed: int = 0, *, variant: str = "",
     }
     (folder / ROW).write_text(json.dumps(row))
     if method == "mbc-dmp":
-        Checkpoint("of a test", np.zeros((4, 2, 1)), SCORES + seed / 100, 1.0).save(folder / FILE_NAME)
+        Checkpoint("of a test", np.zeros((4, 2, 1)), SCORES + seed / 100, 1.0).save(folder / CHECKPOINT)
 
 
 @pytest.fixture
@@ -104,7 +105,7 @@ class TestSearches:
         assert search_courses(comparison, "mbc-dmp", ["pace"]) == []
 
     def test_a_lost_checkpoint_is_said_in_a_line(self, comparison: Path) -> None:
-        (comparison / "runs" / "mbc-dmp0" / FILE_NAME).unlink()
+        (comparison / "runs" / "mbc-dmp0" / CHECKPOINT).unlink()
         with pytest.raises(CheckpointError, match="no checkpoint"):
             search_courses(comparison, "mbc-dmp", ["trot"])
 

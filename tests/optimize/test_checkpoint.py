@@ -9,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fastmimic.base.errors import CheckpointError, OutputError
-from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
+from fastmimic.optimize.cma_es import Checkpoint
+from fastmimic.runs.work_folder import CHECKPOINT
 
 IDENTITY = "0123abcd"
 
@@ -21,13 +22,13 @@ def checkpoint(iterations: int = 3) -> Checkpoint:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    path = tmp_path / FILE_NAME
+    path = tmp_path / CHECKPOINT
     checkpoint().save(path)
     return path
 
 
 def test_its_name_says_what_it_is() -> None:
-    assert "checkpoint" in FILE_NAME
+    assert "checkpoint" in CHECKPOINT
 
 
 def test_comes_back_bit_for_bit(path: Path) -> None:
@@ -41,7 +42,7 @@ def test_comes_back_bit_for_bit(path: Path) -> None:
 def test_a_new_one_replaces_the_old_one_and_leaves_nothing_else_behind(path: Path) -> None:
     checkpoint(5).save(path)
     assert len(Checkpoint.load(path, IDENTITY).scores) == 5
-    assert [p.name for p in path.parent.iterdir()] == [FILE_NAME]
+    assert [p.name for p in path.parent.iterdir()] == [CHECKPOINT]
 
 
 def test_of_another_problem(path: Path) -> None:
@@ -96,7 +97,7 @@ def lone_array() -> bytes:
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"not a checkpoint at all", lone_array()])
 def test_something_else(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / FILE_NAME
+    path = tmp_path / CHECKPOINT
     path.write_bytes(content)
     with pytest.raises(CheckpointError, match="damaged checkpoint"):
         Checkpoint.load(path, IDENTITY)
@@ -130,4 +131,4 @@ def test_damaged_anywhere_it_is_refused_or_unharmed(path: Path, data: st.DataObj
 def test_where_nothing_can_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot be written"):
-        checkpoint().save(tmp_path / "file" / FILE_NAME)
+        checkpoint().save(tmp_path / "file" / CHECKPOINT)

@@ -11,9 +11,9 @@ from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.episode.plan import Start, nominal_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.optimize import cma_es
-from fastmimic.optimize.checkpoint import FILE_NAME, Checkpoint
-from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
+from fastmimic.optimize.cma_es import Checkpoint, CmaSettings, Optimum, Progress, optimize
 from fastmimic.optimize.problem import ImitationProblem
+from fastmimic.runs.work_folder import CHECKPOINT
 from searches import QUICK_CHOICE
 
 SETTINGS = CmaSettings(iterations=5, population=4, seed=3, choice=QUICK_CHOICE, checkpoint_every=2)
@@ -212,7 +212,7 @@ class TestResume:
     def test_after_a_kill_gives_the_same_bits_as_an_uninterrupted_run(
         self, make_problem: Callable[..., ImitationProblem], straight: Optimum, tmp_path: Path
     ) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         with pytest.raises(KilledError):
             optimize(make_problem(), SETTINGS, checkpoint=path, progress=stop_after(3, KilledError))
         kept = Checkpoint.load(path, cma_es._Search(make_problem(), SETTINGS, None).identity)
@@ -221,7 +221,7 @@ class TestResume:
         assert_same(resumed, straight)
 
     def test_twice(self, make_problem: Callable[..., ImitationProblem], straight: Optimum, tmp_path: Path) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         for iteration, resume in ((2, False), (4, True)):
             with pytest.raises(KilledError):
                 optimize(
@@ -236,7 +236,7 @@ class TestResume:
     def test_runs_no_episode_twice(
         self, make_problem: Callable[..., ImitationProblem], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        problem, path = make_problem(), tmp_path / FILE_NAME
+        problem, path = make_problem(), tmp_path / CHECKPOINT
         with pytest.raises(KilledError):
             optimize(problem, SETTINGS, checkpoint=path, progress=stop_after(4, KilledError))
         counting = Counting(problem, monkeypatch)
@@ -246,7 +246,7 @@ class TestResume:
     def test_of_a_finished_run_gives_its_result_again(
         self, problem: ImitationProblem, straight: Optimum, tmp_path: Path
     ) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         first = optimize(problem, SETTINGS, checkpoint=path)
         again = optimize(problem, SETTINGS, checkpoint=path, resume=True)
         assert_same(first, straight)
@@ -254,14 +254,14 @@ class TestResume:
         assert again.elapsed_s > first.elapsed_s, "time before counts"
 
     def test_with_more_iterations_goes_on(self, problem: ImitationProblem, straight: Optimum, tmp_path: Path) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         optimize(problem, replace(SETTINGS, iterations=2), checkpoint=path)
         assert_same(optimize(problem, SETTINGS, checkpoint=path, resume=True), straight)
 
     def test_with_fewer_iterations_takes_the_first_ones(
         self, problem: ImitationProblem, straight: Optimum, tmp_path: Path
     ) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         optimize(problem, SETTINGS, checkpoint=path)
         whole = path.read_bytes()
         fewer = optimize(problem, replace(SETTINGS, iterations=3), checkpoint=path, resume=True)
@@ -270,12 +270,12 @@ class TestResume:
 
     def test_without_a_checkpoint_there_is_nothing_to_resume(self, problem: ImitationProblem, tmp_path: Path) -> None:
         with pytest.raises(CheckpointError, match="no checkpoint to resume from"):
-            optimize(problem, SETTINGS, checkpoint=tmp_path / FILE_NAME, resume=True)
+            optimize(problem, SETTINGS, checkpoint=tmp_path / CHECKPOINT, resume=True)
 
     def test_another_problem_or_other_settings_are_refused_and_the_file_kept(
         self, make_problem: Callable[..., ImitationProblem], tmp_path: Path
     ) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         optimize(make_problem(), SETTINGS, checkpoint=path)
         content = path.read_bytes()
         for problem, settings in (
@@ -292,7 +292,7 @@ class TestResume:
         self, problem: ImitationProblem, tmp_path: Path
     ) -> None:
         """Another version of the optimiser would silently search somewhere else."""
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         optimize(problem, SETTINGS, checkpoint=path)
         identity = cma_es._Search(problem, SETTINGS, None).identity
         kept = Checkpoint.load(path, identity)
@@ -355,7 +355,7 @@ class TestInterrupted:
     def test_it_can_be_resumed(
         self, make_problem: Callable[..., ImitationProblem], straight: Optimum, tmp_path: Path
     ) -> None:
-        path = tmp_path / FILE_NAME
+        path = tmp_path / CHECKPOINT
         optimize(make_problem(), SETTINGS, checkpoint=path, progress=stop_after(3, KeyboardInterrupt))
         assert_same(optimize(make_problem(), SETTINGS, checkpoint=path, resume=True), straight)
 
@@ -377,7 +377,7 @@ class TestRefused:
     def test_a_checkpoint_that_cannot_be_written(self, problem: ImitationProblem, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("in the way")
         with pytest.raises(OutputError, match="cannot be written"):
-            optimize(problem, SETTINGS, checkpoint=tmp_path / "file" / FILE_NAME)
+            optimize(problem, SETTINGS, checkpoint=tmp_path / "file" / CHECKPOINT)
 
     def test_resuming_without_saying_from_where(self, problem: ImitationProblem) -> None:
         with pytest.raises(CheckpointError, match="checkpoint"):

@@ -266,7 +266,7 @@ def test_without_viser_one_line_says_what_to_install(
 
 
 def test_says_if_the_search_found_nothing_better() -> None:
-    from fastmimic.optimize.checkpoint import Checkpoint
+    from fastmimic.optimize.cma_es import Checkpoint
 
     search = Checkpoint("", np.zeros((3, 4, 2)), np.full((3, 4), 0.5), 0.0)
     assert "found nothing better" in convergence(search, 0.9, 0.91, unchanged=True).title

@@ -33,11 +33,11 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
 from fastmimic.experiments.measurement import measure, named_values, searched
 from fastmimic.imitation.imitate import Imitation
-from fastmimic.optimize.checkpoint import FILE_NAME as CHECKPOINT
 from fastmimic.optimize.cma_es import Progress
 from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
+from fastmimic.runs.work_folder import CHECKPOINT
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 

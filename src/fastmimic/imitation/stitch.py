@@ -18,8 +18,7 @@ from fastmimic.executors import check_workers
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.checkpoint import Checkpoint
-from fastmimic.optimize.cma_es import CmaSettings, Progress
+from fastmimic.optimize.cma_es import Checkpoint, CmaSettings, Progress
 from fastmimic.optimize.parameters import FOOT_HEIGHT, FinalChoice, needed_group
 from fastmimic.optimize.randomization import Randomization, randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of

@@ -25,7 +25,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Log, Rollout
 from fastmimic.experiments.measurement import shown_window
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.checkpoint import Checkpoint
+from fastmimic.optimize.cma_es import Checkpoint
 from fastmimic.report import html_episodes
 from fastmimic.report import html_page as draw
 from fastmimic.report.html_page import AFTER, BEFORE, ONLY, Figure, HtmlReport, Key, Plot, numbers, render

@@ -10,9 +10,8 @@ from typing import Any, Final
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
 from fastmimic.base.files import check_folder, read_json, remove_file, write_json, write_text
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.checkpoint import FILE_NAME
 
-CHECKPOINT: Final = FILE_NAME
+CHECKPOINT: Final = "checkpoint.npz"
 MOTION: Final = "motion.npz"
 METRICS: Final = "metrics.json"
 CONFIG: Final = "config.json"

@@ -20,10 +20,10 @@ from fastmimic.base.errors import ConfigError, did_you_mean, unknown
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.robot.state import COMMAND
+from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
-from fastmimic.simulation.simulators import SIMULATORS
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, SIMULATORS, substeps_of
 from fastmimic.simulation.terrain import TERRAINS, Terrain, TerrainKind, terrain_kind
 
 OBSERVED: Final = ("truth", "sensors")
@@ -179,15 +179,24 @@ class Delay:
 
 
 class Disturbed:
-    """What pushes the trunks of a simulation's robots: `trunk_force` (n, 3), N, world frame, for a control step."""
+    """What a simulation's robots share: the `world` of n of them, the delay of their commands, and what pushes their
+    trunks, `trunk_force` (n, 3), N, world frame, for a control step."""
 
-    def __init__(self, world: World) -> None:
-        self.world = world
+    def __init__(self, world: World, control_rate_hz: float) -> None:
+        self.world, self.substeps = world, substeps_of(control_rate_hz)
+        self.observation = np.zeros(world.n, OBSERVATION)
         self.trunk_force = np.zeros((world.n, 3))
+        self._delay = Delay(world["delay"], PHYSICS_RATE_HZ, self.substeps)
+        self._restart()
+
+    def _restart(self) -> None:
+        """Restarts the clocks of pushes and delay."""
+        self._steps = 0
         self._headings: Array | None = None  # of the trunks when the present push began, which keeps them
 
-    def push(self, time_s: float, root_quat: Array) -> None:
-        """Sets the force of the control step that begins at `time_s` with the trunks at `root_quat` (n, 4)."""
+    def push(self, root_quat: Array) -> None:
+        """Sets the force of the control step that begins now with the trunks at `root_quat` (n, 4)."""
+        time_s = self._steps * self.substeps / PHYSICS_RATE_HZ
         self.trunk_force[:] = 0.0
         for act, values in self.world.at_each_step:
             act(self, values, time_s)

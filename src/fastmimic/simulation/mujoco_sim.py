@@ -18,10 +18,9 @@ from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.robot import Robot
 from fastmimic.robot.mjcf import warn_by_log
-from fastmimic.robot.state import OBSERVATION
-from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, make_world
+from fastmimic.simulation.conditions import Disturbance, Disturbed, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
-from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, Placement, substeps_of
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, Placement
 from fastmimic.simulation.terrain import Terrain
 
 FLOOR: Final = "fastmimic_floor"
@@ -214,11 +213,10 @@ class MujocoSimulation(Disturbed):
         """`robot` is without the disturbances. With `ideal`, motors have their torque at any speed, and legs pass
         through each other. Raises `ConfigError` if the physics rate is not a multiple of the control rate, or as
         `make_world`."""
-        super().__init__(make_world(disturbances, n, "mujoco"))
-        self.substeps, self.ground = substeps_of(control_rate_hz), ground
+        super().__init__(make_world(disturbances, n, "mujoco"), control_rate_hz)
+        self.ground = ground
         self.model = build_model(robot, ground, ideal=ideal)
         self.batch = Batch(self.model, n, nthread=threads)
-        self.observation = np.zeros(n, OBSERVATION)
         self._qpos = self.batch.bind("qpos")
         self._qvel = self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
@@ -244,12 +242,11 @@ class MujocoSimulation(Disturbed):
             self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
         self._forces = self.batch.bind("xfrc_applied") if self._pushed else np.zeros(0)
-        self._delay = Delay(self.world["delay"], PHYSICS_RATE_HZ, self.substeps)
-        self._delayed, self._steps = bool(self._delay.late.any()), 0
+        self._delayed = bool(self._delay.late.any())
 
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`; the clocks of pushes and delay restart."""
-        self._steps, self._headings = 0, None
+        self._restart()
         self._forces[:] = 0.0
         self.batch.reset(stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._set(np.arange(len(self.observation)), Placement(*state))
@@ -281,7 +278,7 @@ class MujocoSimulation(Disturbed):
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         if self._pushed:
-            self.push(self._steps * self.substeps / PHYSICS_RATE_HZ, self._qpos[:, 3:7])
+            self.push(self._qpos[:, 3:7])
             self._forces[:, self.trunk, :3] = self.trunk_force
         if self._delayed:
             self._delay.send(commands, self._steps)

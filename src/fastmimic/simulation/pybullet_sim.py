@@ -25,10 +25,10 @@ from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
-from fastmimic.robot.state import OBSERVATION, commanded_torque
-from fastmimic.simulation.conditions import Delay, Disturbance, Disturbed, driving_limit, make_world
+from fastmimic.robot.state import commanded_torque
+from fastmimic.simulation.conditions import Disturbance, Disturbed, driving_limit, make_world
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PAYLOAD_HEIGHT_M, PAYLOAD_SIDE_M
-from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, PYBULLET_URDFS, substeps_of
+from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, PYBULLET_URDFS
 from fastmimic.simulation.terrain import Terrain
 
 _TRUNK: Final = "trunk"
@@ -56,11 +56,8 @@ class PybulletSimulation(Disturbed):
         multiple of the control rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
-        self.substeps = substeps_of(control_rate_hz)
-        self.observation = np.zeros(n, OBSERVATION)
-        self._ideal = ideal
-        super().__init__(world := make_world(disturbances, n, "pybullet"))
-        self._ground = ground
+        super().__init__(world := make_world(disturbances, n, "pybullet"), control_rate_hz)
+        self._ideal, self._ground = ideal, ground
         self._clients: list[Any] = []
         for _ in range(n):
             with quiet():  # it tells its arguments
@@ -74,8 +71,6 @@ class PybulletSimulation(Disturbed):
         self._limit = np.minimum(self._bodies[0].torque_limit, robot.torque_limit)
         self._top_speed = np.full(12, np.inf) if ideal and not world.has("top-speed") else robot.joint_speed_limit
         _check_fit(self._bodies[0], robot)
-        self._delay = Delay(world["delay"], PHYSICS_RATE_HZ, self.substeps)
-        self._steps = 0
 
     def close(self) -> None:
         """Ends the physics clients; garbage collection does so otherwise."""
@@ -87,7 +82,7 @@ class PybulletSimulation(Disturbed):
         and the same start must lead to the same course."""
         n = len(self._clients)
         wide = [np.broadcast_to(np.asarray(a, dtype=np.float64), (n, np.shape(a)[-1])) for a in state]
-        self._steps, self._headings = 0, None
+        self._restart()
         self._bodies = [self._loaded(i) for i in range(n)]
         for body, position, quat, joints, velocity, turning, speeds in zip(self._bodies, *wide, strict=True):
             body.place(position, quat, joints, velocity, quat_rotate(quat, turning), speeds)
@@ -99,7 +94,7 @@ class PybulletSimulation(Disturbed):
             body.observe(self.observation[i])
 
     def step(self, commands: NDArray[Any]) -> NDArray[Any]:
-        self.push(self._steps * self.substeps / PHYSICS_RATE_HZ, self.observation["root_quat"])
+        self.push(self.observation["root_quat"])
         self._delay.send(commands, self._steps)
         arrived = [self._delay.arrived(self._steps, substep) for substep in range(self.substeps)]
         for i, body in enumerate(self._bodies):
@@ -294,16 +289,12 @@ def changed_description(description: str, payload: float, com_x: float, com_y: f
     x, y, z = (float(value) for value in origin.get("xyz", "0 0 0").split())
     origin.set("xyz", f"{x + com_x!r} {y + com_y!r} {z!r}")
     if payload:
-        moment = payload * PAYLOAD_SIDE_M**2 / 6.0
-        load = ElementTree.SubElement(tree, "link", name="payload")
-        inertial = ElementTree.SubElement(load, "inertial")
-        ElementTree.SubElement(inertial, "mass", value=repr(payload))
-        moments = {f"i{a}{b}": repr(moment) if a == b else "0" for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")}
-        ElementTree.SubElement(inertial, "inertia", moments)
-        joint = ElementTree.SubElement(tree, "joint", name="payload_joint", type="fixed")
-        ElementTree.SubElement(joint, "parent", link=_TRUNK)
-        ElementTree.SubElement(joint, "child", link="payload")
-        ElementTree.SubElement(joint, "origin", xyz=f"0 0 {PAYLOAD_HEIGHT_M!r}", rpy="0 0 0")
+        i = payload * PAYLOAD_SIDE_M**2 / 6.0
+        inertia = f'<inertia ixx="{i!r}" ixy="0" ixz="0" iyy="{i!r}" iyz="0" izz="{i!r}"/>'
+        load = f'<link name="payload"><inertial><mass value="{payload!r}"/>{inertia}</inertial></link>'
+        joint = f'<parent link="{_TRUNK}"/><child link="payload"/><origin xyz="0 0 {PAYLOAD_HEIGHT_M!r}" rpy="0 0 0"/>'
+        tree.append(ElementTree.fromstring(load))
+        tree.append(ElementTree.fromstring(f'<joint name="payload_joint" type="fixed">{joint}</joint>'))
     return ElementTree.tostring(tree, encoding="unicode")
 
 

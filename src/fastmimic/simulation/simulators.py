@@ -67,21 +67,18 @@ class Simulator:
         return self.robots is None or robot.lower() in self.robots
 
 
-def _options(conditions: "Conditions", control_rate_hz: float) -> dict[str, Any]:
-    return {"ground": conditions.ground, "ideal": conditions.ideal, "control_rate_hz": control_rate_hz}
-
-
 def _mujoco(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.mujoco_sim import MujocoSimulation
 
-    options = _options(conditions, control_rate_hz)
-    return MujocoSimulation(robot, n, conditions.disturbances, threads=threads, **options)
+    on: dict[str, Any] = {"ground": conditions.ground, "ideal": conditions.ideal, "control_rate_hz": control_rate_hz}
+    return MujocoSimulation(robot, n, conditions.disturbances, threads=threads, **on)
 
 
 def _pybullet(robot: Robot, n: int, conditions: "Conditions", control_rate_hz: float, threads: int) -> Simulation:
     from fastmimic.simulation.pybullet_sim import PybulletSimulation
 
-    return PybulletSimulation(robot, n, conditions.disturbances, **_options(conditions, control_rate_hz))
+    on: dict[str, Any] = {"ground": conditions.ground, "ideal": conditions.ideal, "control_rate_hz": control_rate_hz}
+    return PybulletSimulation(robot, n, conditions.disturbances, **on)
 
 
 def _check_pybullet(robot: Robot) -> None:
