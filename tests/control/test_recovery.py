@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.recovery import PIECE_S, recovery_gaits
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.recovery_gait import PIECE_S, recovery_gaits
 from fastmimic.reference.table import (
     advance_clocks,
     make_clocks,

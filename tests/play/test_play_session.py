@@ -17,10 +17,9 @@ from fastmimic.motion.motion import Motion
 from fastmimic.play.page import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import DEFAULTS, LiveSession, load_motions, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
-from fastmimic.reference.course import course_of
+from fastmimic.reference.course import Stream, course_of, make_place
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND
-from fastmimic.reference.stream import Stream, make_place
 from fastmimic.reference.table import SAMPLE, reference_table
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion

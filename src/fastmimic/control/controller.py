@@ -23,7 +23,7 @@ from fastmimic.control.joint_commands import (
     swing_leg,
 )
 from fastmimic.control.native import make_workspace, seconds_now
-from fastmimic.control.recovery import LEAVES, begin_or_end_recovery, stay_with
+from fastmimic.control.recovery import LEAVES, NO_RECOVERY, begin_or_end_recovery, recovery_gaits, stay_with
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, begin_legs, plan_leg, stance_forces
 from fastmimic.control.tracking import (
     body_frame,
@@ -33,7 +33,6 @@ from fastmimic.control.tracking import (
     regulate,
 )
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.recovery_gait import NO_RECOVERY, recovery_gaits
 from fastmimic.reference.regulator import GAINS, STATES, motion_gains
 from fastmimic.reference.table import CLOCK, advance_clock, stack_tables, steps_due, taken_up_at
 from fastmimic.robot import Robot

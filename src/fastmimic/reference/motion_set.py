@@ -13,11 +13,10 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError, unknown
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import CourseTransition, course_of, make_course_transition
+from fastmimic.reference.course import CourseTransition, Stream, course_of, make_course_transition, make_place
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import STAND, standing
-from fastmimic.reference.stream import Stream, make_place
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 

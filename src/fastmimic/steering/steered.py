@@ -18,7 +18,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.base.vectors import copy
-from fastmimic.reference.stream import make_work, put_at, put_joints, to_body
+from fastmimic.reference.course import make_work, put_at, put_joints, to_body
 from fastmimic.reference.table import GAIN_SAMPLES
 from fastmimic.steering.gait_field import RATE_HZ, GaitField
 
