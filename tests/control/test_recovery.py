@@ -105,7 +105,7 @@ def test_an_undisturbed_robot_keeps_to_its_schedule(robot: Robot) -> None:
 @pytest.mark.parametrize("name", ["walk", "turn", "side-step"])
 def test_the_trot_is_the_motions_own_in_speed_and_posture(robot: Robot, name: str) -> None:
     motion = load_motion(name, robot)
-    trots = recovery_gaits(motion, robot, default_config().regulator).tables
+    trots = recovery_gaits(motion, robot, default_config().regulator)[0]
     assert len(trots) == 1
     assert motion.cycle is not None
     trot, period = trots[0], motion.period_s
@@ -123,6 +123,6 @@ def test_the_trot_is_the_motions_own_in_speed_and_posture(robot: Robot, name: st
 def test_a_passage_has_a_trot_for_each_second(robot: Robot) -> None:
     cycle = load_motion("walk", robot)
     passage = replace(cycle, cycle=None, animal=None)
-    assert len(recovery_gaits(passage, robot, default_config().regulator).tables) == max(
+    assert len(recovery_gaits(passage, robot, default_config().regulator)[0]) == max(
         1, round(passage.period_s / PIECE_S)
     )

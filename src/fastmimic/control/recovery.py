@@ -9,7 +9,7 @@ is pushed over its standing side would have to cross its legs, and a walk has th
 next step can be taken in any direction. Its table and the regulator's gains along it are those of any reference motion.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,19 +205,13 @@ HEIGHT_M: Final = 0.05  # of the swings of an A1
 PIECE_S: Final = 1.0  # of a passage, over which it has one mean
 
 
-class RecoveryGaits(NamedTuple):
-    """For each piece of a motion its trot: tables (p, m) of `SAMPLE` and gains (p, g) of `GAINS`."""
-
-    tables: NDArray[Any]
-    gains: NDArray[Any]
-
-
-NO_RECOVERY: Final = RecoveryGaits(np.zeros((1, 1), SAMPLE), np.zeros((1, 1), GAINS))
+NO_RECOVERY: Final = np.zeros((1, 1), SAMPLE), np.zeros((1, 1), GAINS)
 
 
 @once
-def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> RecoveryGaits:
-    """The trots of a motion's demonstration: one for a cycle, one for each second of a passage."""
+def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The trots of a motion's demonstration: one for a cycle, one for each second of a passage. Returns their tables
+    (p, m) of `SAMPLE` and gains (p, g) of `GAINS`."""
     count = 1 if motion.cycle is not None else max(1, round(motion.period_s / PIECE_S))
     trots = [_trot(motion, part, robot) for part in np.array_split(np.arange(motion.n_samples), count)]
     tables = [reference_table(trot, robot) for trot in trots]
@@ -225,7 +219,7 @@ def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> Rec
         regulator_gains(table, robot, config, motion.dt, float(trot.cycle[2]))  # type: ignore[index]
         for table, trot in zip(tables, trots, strict=True)
     ]
-    return RecoveryGaits(np.stack(tables), np.stack(gains))
+    return np.stack(tables), np.stack(gains)
 
 
 def _trot(motion: Motion, part: NDArray[np.int_], robot: Robot) -> Motion:

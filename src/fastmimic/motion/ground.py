@@ -1,7 +1,6 @@
-"""The ground wrench that a motion needs, and the wrenches that feet in stance can give."""
+"""The ground wrench that a motion needs."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,16 +32,12 @@ def pad(values: Array, periodic: bool) -> Array:
     return np.concatenate([[front2, front1], values, [back1, back2]])
 
 
-_PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
-
-
 @dataclass(frozen=True, eq=False)
 class GroundDemand:
     """The ground wrench (k, 6) of k samples, N and N·m, heading frame, about the centre of mass. `arm` (k, 4, 3) is
     from the centre of mass to each foot's contact point, m; `stands` (k, 4) marks feet in stance; `joint_torque` (k,
     12), N·m, would act if the wrench acted on the trunk."""
 
-    sample: NDArray[np.int_]
     wrench: Array
     arm: Array
     stands: NDArray[np.bool_]
@@ -64,22 +59,11 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Gro
     moment = quat_rotate(quat[sample], force[:, 3:6]) + np.cross(base - com, force[:, :3])
     contact = motion.foot_pos_w[sample] - np.array([0.0, 0.0, robot.foot_radius])
     return GroundDemand(
-        sample=sample,
         wrench=np.concatenate([quat_rotate(unturn, force[:, :3]), quat_rotate(unturn, moment)], axis=1),
         arm=quat_rotate(unturn[:, None], contact - com[:, None]),
         stands=motion.contact[sample],
         joint_torque=force[:, 6:],
     )
-
-
-def push_directions(demand: GroundDemand, friction: float) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Forces (k, 16, 3) of 1 N normal force along the edges of each foot's friction pyramid, their wrenches about the
-    centre of mass (k, 16, 6), and which of them come from feet in stance (k, 16)."""
-    k = len(demand.sample)
-    force = np.broadcast_to(_PYRAMID * np.array([friction, friction, 1.0]), (k, 4, 4, 3))
-    moment = np.cross(demand.arm[:, :, None], force)
-    wrench = np.concatenate([force, moment], axis=-1)
-    return force.reshape(k, 16, 3), wrench.reshape(k, 16, 6), np.repeat(demand.stands, 4, axis=1)
 
 
 def _accelerations(motion: Motion) -> tuple[Array, Array, Array]:

@@ -94,8 +94,7 @@ def make_transition(
     """Rebuilds the samples between segments `index` − 1 and `index`. `track` is the blended trunk of the whole, `raw_w`
     (n, 4, 3) are the feet under it, world, m (z of their centres), and `own` the cycles of the two motions. Raises
     `MotionError` if a foot that never lifts off would have to move, or a segment is too short."""
-    plan = _plan(layout, index, contact, own, round(_KEPT_S * rate_hz))
-    window = plan.window
+    window, rebuilt, planned, fixed = _plan(layout, index, contact, own, round(_KEPT_S * rate_hz))
     if window.start < 0 or window.end > layout.n:
         raise too_short(layout.segments[index - 1 if window.start < 0 else index])
     part = slice(window.start, window.end)
@@ -106,13 +105,13 @@ def make_transition(
     raw = np.array(raw_w[part])
     raw[..., 2] = np.maximum(raw[..., 2] - robot.foot_radius, 0.0)
 
-    holds = footholds(raw, local, plan.stances, reach, round(config.swing.linger_s * rate_hz))
+    holds = footholds(raw, local, planned, reach, round(config.swing.linger_s * rate_hz))
     for leg in range(4):
-        for k, at in enumerate(plan.fixed[leg]):
+        for k, at in enumerate(fixed[leg]):
             if at is not None:
                 holds[leg][k] = raw_w[min(max(at, 0), layout.n - 1), leg, :2]
-    feet = plant_feet(raw, local, plan.stances, holds, reach.clearance, robot.foot_radius, rate_hz, config.swing)
-    for leg, span in enumerate(plan.rebuilt):  # the rest stays
+    feet = plant_feet(raw, local, planned, holds, reach.clearance, robot.foot_radius, rate_hz, config.swing)
+    for leg, span in enumerate(rebuilt):  # the rest stays
         inside = np.arange(window.start, window.end)
         keep = (inside < span.start) | (inside >= span.end)
         feet[keep, leg] = raw_w[part][keep, leg]
@@ -124,7 +123,7 @@ def make_transition(
     arrays = {name: getattr(motion, name)[inner] for name in rows}
     start = np.array([*guess.root_pos_w[0, :2], 0.0])  # the solution begins at x = y = 0
     arrays["root_pos_w"] = arrays["root_pos_w"] + start
-    longest = max((s.duration for stances in plan.stances for s in stances), default=0)
+    longest = max((s.duration for stances in planned for s in stances), default=0)
     return Transition(
         span=Span(window.start + _PAD, window.end - _PAD),
         arrays=arrays,
@@ -139,19 +138,12 @@ def make_transition(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Plan:
-    """The kept and the new footholds in a `window` of samples, with the `rebuilt` samples of each leg. `stances` are
-    relative to the window; `fixed` is a sample of each at which the foot is at its foothold, or None if new."""
-
-    window: Span
-    rebuilt: tuple[Span, ...]
-    stances: Stances
-    fixed: list[list[int | None]]
-
-
-def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cycle, Cycle], kept: int) -> _Plan:
-    """`kept` samples of the motions are before and after what is rebuilt."""
+def _plan(
+    layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cycle, Cycle], kept: int
+) -> tuple[Span, list[Span], Stances, list[list[int | None]]]:
+    """A window of samples, with `kept` of the motions before and after what is rebuilt; the rebuilt samples of each
+    leg; the stances, relative to the window; and for each a sample at which the foot is at its foothold, or None if
+    that is new."""
     before, segment = layout.segments[index - 1], layout.segments[index]
     trunk, feet = segment.trunk, segment.feet
     assert trunk is not None
@@ -205,4 +197,4 @@ def _plan(layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cyc
         ]
         inside.append([s for s, _ in seen])
         seen_at.append([at for _, at in seen])
-    return _Plan(window, tuple(rebuilt), inside, seen_at)
+    return window, rebuilt, inside, seen_at
