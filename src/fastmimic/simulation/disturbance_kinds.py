@@ -113,11 +113,6 @@ def loaded(mass: float, com: Array, inertia: Array, payload: float) -> tuple[flo
     return combined([(mass, com, inertia + cube), (payload, at, np.zeros((3, 3)))])
 
 
-def symmetric(*levels: float) -> tuple[float, ...]:
-    """Levels to both sides of 0."""
-    return (*(-level for level in reversed(levels)), 0.0, *levels)
-
-
 _APPLIED: Final[dict[str, Apply]] = {
     "friction": _friction,
     "restitution": _contact,
@@ -133,11 +128,9 @@ _APPLIED: Final[dict[str, Apply]] = {
 
 def _built_in(said: dict[str, Any]) -> DisturbanceKind:
     """A disturbance of `disturbances.json`; a level of null has no bound."""
-    levels = [math.inf if level is None else level for level in said.pop("levels", ())]
-    if "levels_each_way" in said:
-        levels += symmetric(*said.pop("levels_each_way"))
+    levels = tuple(math.inf if level is None else level for level in said.pop("levels", ()))
     apply = {"mujoco": _APPLIED[said["name"]]} if said["name"] in _APPLIED else {}
-    return DisturbanceKind(**said, levels=tuple(levels), apply=apply)
+    return DisturbanceKind(**said, levels=levels, apply=apply)
 
 
 _Said = dict[str, str | bool | float | tuple[float | None, ...]]

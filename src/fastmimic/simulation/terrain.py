@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.files import UNREADABLE, open_arrays
+from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
-from fastmimic.simulation.disturbance_kinds import DisturbanceKind, symmetric
+from fastmimic.simulation.disturbance_kinds import DisturbanceKind
 
 FOOTPRINT_M: Final = 0.25  # half the edge of the ground that counts as under a robot
 TREAD_M: Final = 0.3
@@ -241,28 +241,16 @@ def _waves(amplitude: float, _: np.random.Generator) -> Terrain:
     return Terrain(field=HeightField(along[:, None] + along, cell), spread=(5.0, 5.0, np.pi))
 
 
-_ANY: Final = ("mujoco", "pybullet")
-_HEIGHTS: Final = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.12, 0.15)
-_ANGLES: Final = symmetric(2.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 25.0)
-
-
-def _kind(name: str, about: str, make: Make, simulators: tuple[str, ...] = _ANY, *, angle: bool = False) -> TerrainKind:
-    unit, least, most = ("deg", -30.0, 30.0) if angle else ("m", 0.0, 0.3)
-    levels = _ANGLES if angle else _HEIGHTS
-    return TerrainKind(name, unit, least, most, about, levels=levels, make=make, simulators=simulators)
-
-
-_TREADS: Final = f"rise of stairs that go {{}}, with treads of {TREAD_M:g} m"
-TERRAINS: Final = Registry(
-    "terrain",
-    [
-        _kind("stairs-up", _TREADS.format("up"), partial(_stairs, 1.0), ("mujoco",)),
-        _kind("stairs-down", _TREADS.format("down"), partial(_stairs, -1.0), ("mujoco",)),
-        _kind("slope", "of the ground along the way, positive uphill", partial(_plane, 1.0, 0.0), angle=True),
-        _kind("side-slope", "of the ground, positive if it rises to the left", partial(_plane, 0.0, 1.0), angle=True),
-        _kind("rough", f"greatest height and depth of random ground, points {CELL_M:g} m apart", _rough),
-        _kind("waves", f"greatest height and depth of waves of {WAVE_M:g} m along both axes", _waves),
-        _kind("stones", f"gap between stones of {STONE_M:g} m, 0.3 m above the ground", _stones, ("mujoco",)),
-    ],
-)
+_MAKES: Final[dict[str, Make]] = {
+    "stairs-up": partial(_stairs, 1.0),
+    "stairs-down": partial(_stairs, -1.0),
+    "slope": partial(_plane, 1.0, 0.0),
+    "side-slope": partial(_plane, 0.0, 1.0),
+    "rough": _rough,
+    "waves": _waves,
+    "stones": _stones,
+}
+_Said = dict[str, str | float | tuple[str | float, ...]]
+_SAID: Final[Any] = packaged("fastmimic.simulation", "terrains.json", list[_Said])
+TERRAINS: Final = Registry("terrain", [TerrainKind(**said, make=_MAKES[said["name"]]) for said in _SAID])
 """All terrains that have a level."""
