@@ -15,7 +15,7 @@ from pathlib import Path
 from marked import put
 
 import fastmimic as fm
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.experiments.ablations import ABLATED, ablations_of
 from fastmimic.primitive.rhythmic import N_BASIS
 
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0)
     parser.add_argument("--write", action="store_true", help="put the table into docs/method.md")
     args = parser.parse_args()
-    robot, config = fm.load_robot("a1"), default_config()
+    robot, config = fm.load_robot("a1"), ControllerConfig()
     # what changes the motion, and not the controller, is another question
     changed = {a.name: a.change(config) for a in ablations_of(config) if a.consistent and a.n_basis == N_BASIS}
     variants = {"the whole controller": config, **{f"`{name}`": c for name, c in changed.items()}}

@@ -30,7 +30,7 @@ from fastmimic.base.errors import FastMimicError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import data_folder
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.feasibility import demands
 from fastmimic.episode.loop import share_of_falls
 from fastmimic.episode.reward import Scorer
@@ -155,7 +155,7 @@ def bound(robot: Robot, motion: Motion) -> float:
     assert motion.animal is not None
     own = reference_table(motion, robot)
     animal = reference_table(replace(motion.animal, demonstration=motion), robot)
-    config = default_config()
+    config = ControllerConfig()
     scorer, memory = Scorer(robot, animal, 1, config, config.rate_hz), np.zeros(1, MEMORY)
     clock, state = make_clocks(motion, 1), np.zeros(1, OBSERVATION)
     for sample in range(len(own)):

@@ -248,14 +248,14 @@ def _robots(scratch: Path) -> list[Case]:
 def _settings() -> list[Case]:
     """Controllers' parameters, limits, maps of points, velocities, and lists of sources."""
     from fastmimic.clips.formats.points import read_point_map
-    from fastmimic.control.config import FILE_FORMAT, controller_config, default_config, pack_config
+    from fastmimic.control.config import FILE_FORMAT, ControllerConfig, controller_config, pack_config
     from fastmimic.dataset import find_sources
     from fastmimic.deploy.safety import SafetyLimits, read_limits
     from fastmimic.robot import load_robot
     from fastmimic.steering.commands import CommandScript
 
     poses, robot = of_tests("clips/pose_files.py"), load_robot("a1")
-    config = {**FILE_FORMAT, "base": "paper", **default_config().as_dict()}
+    config = {**FILE_FORMAT, "base": "paper", **ControllerConfig().as_dict()}
     limits = "".join(f"{name} = {value}\n" for name, value in dataclasses.asdict(SafetyLimits.of(robot)).items())
     points = dict(zip(import_module("fastmimic.clips.clip").POINT_NAMES, poses.NAMES, strict=True))
     way = "time_s,forwards,left,turn\n0.5,0.5,0,0\n3,0.8,0,-0.8\n6,0,0,0\n"
@@ -324,7 +324,7 @@ def _logs(scratch: Path) -> list[Case]:
     """Logs of runs, of deployments, and of the simulated robot."""
     from fastmimic.commands.evaluate import Evaluate, Identify
     from fastmimic.commands.options import ClipOptions
-    from fastmimic.control.config import default_config
+    from fastmimic.control.config import ControllerConfig
     from fastmimic.deploy import log as logs
     from fastmimic.deploy.log_file import LogFile
     from fastmimic.robot.state import OBSERVATION
@@ -336,7 +336,7 @@ def _logs(scratch: Path) -> list[Case]:
     for quat in (rows["reading"]["quat"], rows["estimate"]["root_quat"], truth["root_quat"]):
         quat[:, 0] = 1.0
     meta = {"rate_hz": 500.0, "robot": "a1", "motion": "trot", "driver": "sim", "method": "mbc", "latency_s": 0.002}
-    meta |= {"config": default_config().as_dict(), "torque_limit": [33.5] * 12}
+    meta |= {"config": ControllerConfig().as_dict(), "torque_limit": [33.5] * 12}
     meta |= {"foot_force": "auto", "result": {"stopped_by": "end", "stopped_because": None, "log_ends": None}}
     motion = load_motion("trot", "a1")
 

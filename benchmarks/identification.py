@@ -12,7 +12,7 @@ from pathlib import Path
 from marked import put
 
 from fastmimic.base.errors import LogError
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout, run_log
 from fastmimic.episode.run_log import RunLog
@@ -124,7 +124,7 @@ def before_and_after(robot: Robot, motions: list[Motion], count: int) -> list[st
             found = try_identify(logged(robot, side_steps, where), robot)
             if found is None:
                 continue
-            before = default_config()
+            before = ControllerConfig()
             after = found.configure(before)
             said = f"{shown(found)}, {after.stance.friction:.2f}"
             said += f", payload {after.load.mass:.1f} kg" if after.load.mass else ""

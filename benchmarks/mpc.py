@@ -20,7 +20,7 @@ import numpy as np
 from rollout import environment
 
 import fastmimic as fm
-from fastmimic.control.config import ControllerConfig, HorizonConfig, default_config
+from fastmimic.control.config import ControllerConfig, HorizonConfig
 from fastmimic.control.controller import Controller
 from fastmimic.control.native import OPTIMAL, solve_qp
 from fastmimic.episode.loop import ClosedLoop
@@ -62,7 +62,7 @@ class Problem:
 
 def configured(rate_hz: float) -> ControllerConfig:
     """The default controller with forces planned ahead that often."""
-    config = default_config()
+    config = ControllerConfig()
     return dataclasses.replace(
         config,
         stance=dataclasses.replace(config.stance, forces="horizon"),

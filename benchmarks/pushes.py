@@ -25,7 +25,7 @@ from marked import put
 from shares import interval
 
 from fastmimic.base.configuration import changed
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import Start, perturbed_start
 from fastmimic.experiments.ablations import ABLATIONS
@@ -80,13 +80,13 @@ def main() -> None:
         for part in ("survival", "rejoined", "intervals"):
             found[part][name] = {}
         for speed in args.speeds:
-            up, back = pushed(robot, motion, default_config(), speed)
+            up, back = pushed(robot, motion, ControllerConfig(), speed)
             key = f"{speed:g}"
             found["survival"][name][key], found["rejoined"][name][key] = float(up.mean()), float(back.mean())
             found["intervals"][name][key] = interval(up)
-        found["sensors"][name] = float(pushed(robot, motion, default_config(), highest, observe="sensors")[0].mean())
+        found["sensors"][name] = float(pushed(robot, motion, ControllerConfig(), highest, observe="sensors")[0].mean())
         for variant in args.variants:
-            config = peer() if variant == PEER else ABLATIONS[variant].change(default_config())
+            config = peer() if variant == PEER else ABLATIONS[variant].change(ControllerConfig())
             found[variant][name] = float(pushed(robot, motion, config, highest)[0].mean())
         if args.minute:
             found["repeated"][name] = minute(robot, motion, highest, args.minute)
@@ -101,7 +101,7 @@ def main() -> None:
 def peer() -> ControllerConfig:
     """The configuration of `PEER`."""
     changes = {"stance": {"forces": "horizon", "feedback": "constant", "leg_momentum": False}}
-    return changed(default_config(), {**changes, "swing": {"foothold": "raibert"}}, PEER)
+    return changed(ControllerConfig(), {**changes, "swing": {"foothold": "raibert"}}, PEER)
 
 
 def pushed(

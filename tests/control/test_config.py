@@ -17,9 +17,7 @@ from fastmimic.control.config import (
     StanceConfig,
     SwingConfig,
     controller_config,
-    default_config,
     pack_config,
-    paper_config,
 )
 from fastmimic.control.controller import gains_of
 from fastmimic.robot import load_robot
@@ -39,9 +37,9 @@ def test_an_unknown_set_is_refused_with_the_names_there_are() -> None:
 
 
 def test_factories_return_fresh_and_equal_objects() -> None:
-    assert default_config() == default_config() == ControllerConfig()
-    assert default_config() is not default_config()
-    assert default_config() != paper_config()
+    assert ControllerConfig() == ControllerConfig() == ControllerConfig()
+    assert ControllerConfig() is not ControllerConfig()
+    assert ControllerConfig() != CONFIGS["paper"]
 
 
 @pytest.mark.parametrize("name", sorted(CONFIGS))
@@ -81,14 +79,14 @@ def test_nonsense_is_refused_by_name(changes: dict[str, object], message: str) -
 
 def test_forces_are_multiples_of_the_weight() -> None:
     """One set for all robots: a robot twice as heavy is pushed and felt twice as hard."""
-    light, heavy = (pack_config(default_config(), body(mass))[0] for mass in (10.0, 20.0))
+    light, heavy = (pack_config(ControllerConfig(), body(mass))[0] for mass in (10.0, 20.0))
     for name in ("contact_threshold", "release_threshold", "min_force", "max_force"):
         assert heavy[name] == 2 * light[name]
-    assert light["max_force"] == 10.0 * GRAVITY * default_config().stance.max_force
+    assert light["max_force"] == 10.0 * GRAVITY * ControllerConfig().stance.max_force
 
 
 def test_the_a1_gets_the_numbers_as_they_are() -> None:
-    packed, config = pack_config(default_config(), load_robot("a1"))[0], default_config()
+    packed, config = pack_config(ControllerConfig(), load_robot("a1"))[0], ControllerConfig()
     assert packed["r_weight"] == config.stance.force_weight
     assert packed["stance_kp"] == config.stance.joint_stiffness
     assert packed["swing_kd"] == config.swing.joint_damping
@@ -97,7 +95,7 @@ def test_the_a1_gets_the_numbers_as_they_are() -> None:
 
 def test_a_heavier_robot_is_as_stiff_for_what_it_has_to_move() -> None:
     """R f² stays what it is relative to ẍ², and legs keep their frequency and damping."""
-    one, other = (pack_config(default_config(), body(mass, inertia))[0] for mass, inertia in ((10, 0.03), (30, 0.12)))
+    one, other = (pack_config(ControllerConfig(), body(mass, inertia))[0] for mass, inertia in ((10, 0.03), (30, 0.12)))
     assert other["r_weight"] * 9 == pytest.approx(one["r_weight"], rel=1e-12)
     for name in ("stance_kp", "stance_kd", "swing_kp", "swing_kd"):
         assert other[name] == pytest.approx(4 * one[name], rel=1e-12)
@@ -122,7 +120,7 @@ def test_every_parameter_reaches_the_kernels() -> None:
         gains = [gains_of(motion, robot, each).tobytes() for each in (config, constant)]
         return b"".join([pack_config(config, robot).tobytes(), *gains])
 
-    config = default_config()
+    config = ControllerConfig()
     packed = kernels(config)
     for part in ("gait", "stance", "horizon", "swing", "regulator"):
         settings = getattr(config, part)

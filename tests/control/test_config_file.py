@@ -15,9 +15,7 @@ from fastmimic.control.config import (
     ControllerConfig,
     LoadConfig,
     controller_config,
-    default_config,
     loaded_robot,
-    paper_config,
     read_config,
 )
 from fastmimic.control.controller import Controller
@@ -38,7 +36,7 @@ def test_changes_the_set_that_it_names(tmp_path: Path) -> None:
     assert config.name == "mine.json"
     assert config.stance.friction == 0.3
     assert config.load == LoadConfig(2.0, (0.0, 0.0, 0.1))
-    assert config.swing == paper_config().swing
+    assert config.swing == CONFIGS["paper"].swing
 
 
 @pytest.mark.parametrize("name", sorted(CONFIGS))
@@ -58,7 +56,7 @@ def test_comes_back_from_a_record(name: str) -> None:
     ],
 )
 def test_a_record_of_another_release_is_refused(damage: Any) -> None:
-    record = json.loads(json.dumps(default_config().as_dict()))
+    record = json.loads(json.dumps(ControllerConfig().as_dict()))
     damage(record)
     with pytest.raises(ConfigError, match="another release"):
         ControllerConfig.from_dict(record)
@@ -92,7 +90,7 @@ def test_one_line_for_no_file(tmp_path: Path) -> None:
 
 
 def test_is_for_its_robot_only() -> None:
-    robot, config = load_robot("a1"), changed(default_config(), {"robot": "go1"}, "here")
+    robot, config = load_robot("a1"), changed(ControllerConfig(), {"robot": "go1"}, "here")
     with pytest.raises(ConfigError, match="is for robot 'go1', not 'a1'"):
         Controller(robot, [load_motion("trot", robot)], 1, config)
 

@@ -18,7 +18,7 @@ from fastmimic.base.rotations import (
     quat_rotate_inverse,
     rotate_planar,
 )
-from fastmimic.control.config import ControllerConfig, SwingConfig, default_config, paper_config
+from fastmimic.control.config import CONFIGS, ControllerConfig, SwingConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
@@ -41,7 +41,7 @@ KP, KD = (25.0, 25.0, 40.0, 100.0, 110.0, 120.0), (5.5, 5.5, 7.0, 8.0, 9.0, 10.0
 def stance_law(**changes: object) -> ControllerConfig:
     """The paper's stance law with gains of its own and forces that cost nothing."""
     stance = dataclasses.replace(
-        paper_config().stance,
+        CONFIGS["paper"].stance,
         position_gain=KP,
         velocity_gain=KD,
         acceleration_limit=(100.0,) * 6,
@@ -303,7 +303,7 @@ class TestSwingLaw:
 
 class TestPaperConfiguration:
     def test_it_is_eq_1_to_3_as_printed(self) -> None:
-        config = paper_config()
+        config = CONFIGS["paper"]
         assert config.stance.feedback == "constant"
         assert config.stance.reference_acceleration == config.stance.disturbance_time == 0
         assert not config.stance.leg_momentum
@@ -317,7 +317,7 @@ class TestPaperConfiguration:
     def test_it_commands_something_else_than_the_default(self, robot: Robot, trot: Motion) -> None:
         samples = np.array([20, 160])
         observation = disturbed(on_reference(trot, samples), np.random.default_rng(4), 0.3)
-        commands = [Rig(robot, [trot], samples, c).step(observation) for c in (default_config(), paper_config())]
+        commands = [Rig(robot, [trot], samples, c).step(observation) for c in (ControllerConfig(), CONFIGS["paper"])]
         for name in ("joint_pos", "torque"):
             assert np.abs(commands[0][name] - commands[1][name]).max() > 1e-3
 

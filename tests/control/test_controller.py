@@ -14,7 +14,7 @@ from fastmimic.base.rotations import (
     quat_rotate,
     rotate_planar,
 )
-from fastmimic.control.config import controller_config, default_config
+from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.control.controller import Controller
 from fastmimic.control.stance import _HOLD_STEPS
 from fastmimic.motion.motion import Motion
@@ -59,15 +59,15 @@ class TestBatch:
 
     def test_each_robot_follows_its_own_reference(self, robot: Robot, trot: Motion) -> None:
         motions = [trot, *(gait(robot, (0.4, 0.1), 0.5, lift=h) for h in (0.03, 0.04, 0.06, 0.07))]
-        together = Rig(robot, motions, self.SAMPLES, default_config())
-        alone = [Rig(robot, [m], self.SAMPLES[i : i + 1], default_config()) for i, m in enumerate(motions)]
+        together = Rig(robot, motions, self.SAMPLES, ControllerConfig())
+        alone = [Rig(robot, [m], self.SAMPLES[i : i + 1], ControllerConfig()) for i, m in enumerate(motions)]
         for observation in self.courses(trot):
             commands = together.step(observation)
             for i, rig in enumerate(alone):
                 assert rig.step(observation[i : i + 1]).tobytes() == commands[i : i + 1].tobytes()
 
     def test_a_reset_forgets_everything(self, robot: Robot, trot: Motion) -> None:
-        used, fresh = (Rig(robot, [trot], self.SAMPLES, default_config()) for _ in range(2))
+        used, fresh = (Rig(robot, [trot], self.SAMPLES, ControllerConfig()) for _ in range(2))
         for observation in self.courses(trot):
             used.step(observation)
         used.controller.reset(self.SAMPLES)
@@ -75,7 +75,7 @@ class TestBatch:
         assert used.step(last).tobytes() == fresh.step(last).tobytes()
 
     def test_legs_start_in_the_state_that_the_reference_wants(self, robot: Robot, trot: Motion) -> None:
-        rig = Rig(robot, [trot], self.SAMPLES, default_config())
+        rig = Rig(robot, [trot], self.SAMPLES, ControllerConfig())
         np.testing.assert_array_equal(rig.controller.memory["stance"], trot.contact[self.SAMPLES])
 
 
@@ -107,7 +107,7 @@ class TestFrames:
 
     def test_the_sign_of_a_quaternion_means_nothing(self, robot: Robot, trot: Motion) -> None:
         samples = np.array([10, 130])
-        here, there = (Rig(robot, [trot], samples, default_config()) for _ in range(2))
+        here, there = (Rig(robot, [trot], samples, ControllerConfig()) for _ in range(2))
         observation = disturbed(on_reference(trot, samples), np.random.default_rng(2))
         negated = observation.copy()
         negated["root_quat"] *= -1
@@ -142,7 +142,7 @@ class TestFailure:
 
     @pytest.fixture
     def rig(self, robot: Robot, stand: Motion) -> Rig:
-        config = default_config()
+        config = ControllerConfig()
         config = dataclasses.replace(config, stance=dataclasses.replace(config.stance, disturbance_time=0.0))
         return Rig(robot, [stand], np.array([0, 0]), config)
 
@@ -180,7 +180,7 @@ class TestFailure:
     ) -> None:
         """A robot whose sensors fail is damped: no torque of its own, no target to go to."""
         samples = np.array([20, 160])
-        rig = Rig(robot, [trot], samples, default_config())
+        rig = Rig(robot, [trot], samples, ControllerConfig())
         observation = on_reference(trot, samples)
         rig.step(observation)
         observation[field][0] = value
@@ -196,7 +196,7 @@ class TestFailure:
     def test_a_broken_observation_is_forgotten_once_it_is_over(self, robot: Robot, trot: Motion) -> None:
         """Nothing that remembers (filters, offsets) may keep a value that is no number."""
         samples = np.array([20, 160])
-        rig = Rig(robot, [trot], samples, default_config())
+        rig = Rig(robot, [trot], samples, ControllerConfig())
         observation = on_reference(trot, samples)
         rig.step(observation)
         broken = observation.copy()
@@ -209,7 +209,7 @@ class TestFailure:
 
 class TestRefused:
     def test_a_reference_at_another_rate(self, robot: Robot, trot: Motion) -> None:
-        config = dataclasses.replace(default_config(), rate_hz=400.0)
+        config = dataclasses.replace(ControllerConfig(), rate_hz=400.0)
         with pytest.raises(ConfigError, match="'synthetic' has 500 samples a second; expected 400: retarget"):
             Controller(robot, [trot], 1, config)
 
@@ -227,7 +227,7 @@ class TestRefused:
 def test_a_step_from_the_reference(robot: Robot, trot: Motion) -> None:
     """The whole controller also runs as plain Python, with the same result."""
     samples = np.array([20, 160])
-    rig = Rig(robot, [trot], samples, default_config())
+    rig = Rig(robot, [trot], samples, ControllerConfig())
     commands = rig.step(disturbed(on_reference(trot, samples), np.random.default_rng(6), 0.3))
     assert np.isfinite(commands["torque"]).all()
     assert rig.controller.memory["qp_failures"].sum() == 0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.robot import Robot
@@ -17,7 +17,7 @@ ROBOTS = 6
 
 
 def blind() -> ControllerConfig:
-    config = default_config()
+    config = ControllerConfig()
     return replace(config, gait=replace(config.gait, follow_ground=False))
 
 
@@ -38,7 +38,7 @@ def walked(robot: Robot, terrain: str, config: ControllerConfig) -> ClosedLoop:
 
 @pytest.mark.parametrize(("terrain", "axis"), [("slope=12", 0), ("side-slope=10", 1), ("slope=-12", 0)])
 def test_the_plane_under_the_feet_is_found(robot: Robot, terrain: str, axis: int) -> None:
-    loop = walked(robot, terrain, default_config())
+    loop = walked(robot, terrain, ControllerConfig())
     assert loop.scorer.tallies["fallen"].sum() == 0
     memory, rise = loop.controller.memory, np.tan(np.radians(float(terrain.partition("=")[2])))
     np.testing.assert_allclose(memory["slope"][:, axis], rise, atol=0.02)
@@ -67,8 +67,8 @@ def test_a_lost_reading_is_not_felt(robot: Robot) -> None:
 
 
 def test_feet_are_lifted_on_stairs_and_only_there(robot: Robot) -> None:
-    assert walked(robot, "stairs-up=0.04", default_config()).controller.memory["roughness"].max() > 0.01
-    assert walked(robot, "slope=10", default_config()).controller.memory["roughness"].max() < 0.01
+    assert walked(robot, "stairs-up=0.04", ControllerConfig()).controller.memory["roughness"].max() > 0.01
+    assert walked(robot, "slope=10", ControllerConfig()).controller.memory["roughness"].max() < 0.01
 
 
 @pytest.mark.parametrize("name", ["trot", "walk"])
@@ -76,6 +76,6 @@ def test_level_ground_is_seen_as_it_is(robot: Robot, name: str) -> None:
     motion = load_motion(name, robot)
     here, there = (
         run_episodes(robot, motion, start=starts(motion.n_samples), duration_s=3.0, config=config)
-        for config in (default_config(), blind())
+        for config in (ControllerConfig(), blind())
     )
     np.testing.assert_array_equal(here.reward, there.reward)

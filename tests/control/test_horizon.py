@@ -11,7 +11,7 @@ from control.rig import Rig, disturbed, on_reference
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import quat_from_rotvec, quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
-from fastmimic.control.config import ControllerConfig, HorizonConfig, StanceConfig, default_config
+from fastmimic.control.config import ControllerConfig, HorizonConfig, StanceConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import nominal_start
 from fastmimic.motion.motion import Motion
@@ -26,7 +26,7 @@ def lh(
     rate_hz: float = 50.0, stance: dict[str, bool] | dict[str, float] | None = None, **horizon: object
 ) -> ControllerConfig:
     """The default controller with forces planned ahead."""
-    config = default_config()
+    config = ControllerConfig()
     return dataclasses.replace(
         config,
         stance=dataclasses.replace(config.stance, forces="horizon", **(stance or {})),
@@ -154,7 +154,7 @@ class TestProblem:
         rate = 1 / STEP_S
         config = lh(500.0, steps=1, position_weight=(0.0,) * 6, velocity_weight=weights, force_weight=force_weight)
         instant = dataclasses.replace(
-            default_config(),
+            ControllerConfig(),
             stance=StanceConfig(
                 feedback="constant",
                 position_gain=(0.0,) * 6,
@@ -421,7 +421,7 @@ class TestFailure:
 
     def broken(self, robot: Robot, motion: Motion, rate_hz: float) -> tuple[Rig, Rig]:
         """A controller whose reference is unreadable 0.2 s from now, and one that looks at the present only."""
-        rigs = tuple(Rig(robot, [motion], np.array([60]), c) for c in (lh(rate_hz), default_config()))
+        rigs = tuple(Rig(robot, [motion], np.array([60]), c) for c in (lh(rate_hz), ControllerConfig()))
         for rig in rigs:
             rig.controller.tables["root_pos"][0, 155:170] = np.nan
         return rigs
@@ -438,7 +438,7 @@ class TestFailure:
             assert broken.controller.memory["horizon_failures"][0] == i
             assert broken.controller.memory["qp_failures"][0] == i
         broken.controller.tables["root_pos"][0] = Rig(
-            robot, [trot], broken.samples, default_config()
+            robot, [trot], broken.samples, ControllerConfig()
         ).controller.tables["root_pos"][0]
         broken.step(observation)
         assert broken.controller.plan["valid"][0] == 1

@@ -8,7 +8,7 @@ import pytest
 from control.motions import gait
 from control.rig import Rig, disturbed, on_reference
 from fastmimic.base.errors import ConfigError
-from fastmimic.control.config import ControllerConfig, SwingConfig, controller_config, default_config, paper_config
+from fastmimic.control.config import CONFIGS, ControllerConfig, SwingConfig, controller_config
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -142,8 +142,8 @@ def test_nonsense_is_refused(swing: dict[str, object], message: str) -> None:
 
 
 def test_the_default_is_the_regulators_foothold() -> None:
-    assert default_config().swing.foothold == "regulator"
-    assert paper_config().swing.foothold == "reference"
+    assert ControllerConfig().swing.foothold == "regulator"
+    assert CONFIGS["paper"].swing.foothold == "reference"
 
 
 def config_dt(config: ControllerConfig) -> float:

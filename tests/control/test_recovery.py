@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.control.recovery import PIECE_S, recovery_gaits
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
@@ -27,7 +27,7 @@ PUSHED_AT_S = 0.4
 
 
 def own_schedule() -> ControllerConfig:
-    config = default_config()
+    config = ControllerConfig()
     return replace(config, gait=replace(config.gait, recovery_steps=False))
 
 
@@ -52,7 +52,7 @@ def pushed(robot: Robot, config: ControllerConfig, speed: float) -> tuple[np.nda
 
 
 def test_recovery_steps_catch_robots_that_fall_otherwise(robot: Robot) -> None:
-    up, recovered, back = pushed(robot, default_config(), 1.0)
+    up, recovered, back = pushed(robot, ControllerConfig(), 1.0)
     fallen, never, _ = pushed(robot, own_schedule(), 1.0)
     assert not never.any()
     assert recovered.sum() >= 8
@@ -97,7 +97,7 @@ def test_an_undisturbed_robot_keeps_to_its_schedule(robot: Robot) -> None:
     motion = load_motion("walk", robot)
     here, there = (
         run_episodes(robot, motion, start=starts(motion), duration_s=2.0, config=config)
-        for config in (default_config(), own_schedule())
+        for config in (ControllerConfig(), own_schedule())
     )
     np.testing.assert_array_equal(here.reward, there.reward)
 
@@ -105,7 +105,7 @@ def test_an_undisturbed_robot_keeps_to_its_schedule(robot: Robot) -> None:
 @pytest.mark.parametrize("name", ["walk", "turn", "side-step"])
 def test_the_trot_is_the_motions_own_in_speed_and_posture(robot: Robot, name: str) -> None:
     motion = load_motion(name, robot)
-    trots = recovery_gaits(motion, robot, default_config().regulator)[0]
+    trots = recovery_gaits(motion, robot, ControllerConfig().regulator)[0]
     assert len(trots) == 1
     assert motion.cycle is not None
     trot, period = trots[0], motion.period_s
@@ -123,6 +123,6 @@ def test_the_trot_is_the_motions_own_in_speed_and_posture(robot: Robot, name: st
 def test_a_passage_has_a_trot_for_each_second(robot: Robot) -> None:
     cycle = load_motion("walk", robot)
     passage = replace(cycle, cycle=None, animal=None)
-    assert len(recovery_gaits(passage, robot, default_config().regulator)[0]) == max(
+    assert len(recovery_gaits(passage, robot, ControllerConfig().regulator)[0]) == max(
         1, round(passage.period_s / PIECE_S)
     )

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fastmimic.control.config import ControllerConfig, default_config, pack_config
+from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.control.controller import gains_of
 from fastmimic.control.joint_commands import keep_in_reach
 from fastmimic.episode.loop import ClosedLoop
@@ -38,20 +38,20 @@ def pushed(robot: Robot, config: ControllerConfig, speed: float) -> tuple[np.nda
 
 
 def in_own_time() -> ControllerConfig:
-    config = default_config()
+    config = ControllerConfig()
     return replace(config, gait=replace(config.gait, most_haste=0.0))
 
 
 def test_an_undisturbed_robot_keeps_the_motions_time(robot: Robot) -> None:
-    up, most = pushed(robot, default_config(), 0.0)
+    up, most = pushed(robot, ControllerConfig(), 0.0)
     assert up.all()
     assert most == 0.0
 
 
 def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
-    up, most = pushed(robot, default_config(), 1.0)
+    up, most = pushed(robot, ControllerConfig(), 1.0)
     fallen, none = pushed(robot, in_own_time(), 1.0)
-    assert most == default_config().gait.most_haste
+    assert most == ControllerConfig().gait.most_haste
     assert none == 0.0
     assert up.sum() >= fallen.sum() + 4
 
@@ -59,10 +59,10 @@ def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
 def test_a_robot_that_stands_is_not_hurried_to_a_step_far_ahead(robot: Robot) -> None:
     """It would run through the second in which an animal sits, and then on in haste."""
     motion = load_motion("jump", robot)
-    landing = gains_of(motion, robot, default_config())["landing"]
+    landing = gains_of(motion, robot, ControllerConfig())["landing"]
     stands = int(np.flatnonzero(landing < 0.5)[0]) * GAIN_SAMPLES
     conditions = Conditions(disturbances=(Disturbance("side-push", (-0.2 * robot.mass,), 0.02),))
-    loop = ClosedLoop(robot, motion, 1, default_config(), conditions=conditions)
+    loop = ClosedLoop(robot, motion, 1, ControllerConfig(), conditions=conditions)
     loop.place(nominal_start(1))
     for _ in range(stands):
         loop.apply(loop.control())
@@ -74,7 +74,7 @@ def test_a_robot_that_stands_is_not_hurried_to_a_step_far_ahead(robot: Robot) ->
 
 @pytest.mark.nojit
 def test_a_foot_beyond_reach_keeps_its_height(robot: Robot) -> None:
-    config, model = pack_config(default_config(), robot)[0], pack_model(robot)[0]
+    config, model = pack_config(ControllerConfig(), robot)[0], pack_model(robot)[0]
     tilt = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(0.2), -np.sin(0.2)], [0.0, np.sin(0.2), np.cos(0.2)]])
     for leg in range(4):
         foot = foot_positions(robot, np.tile([0.0, 0.8, -1.6], 4)[None])[0, leg]
@@ -90,4 +90,4 @@ def test_a_foot_beyond_reach_keeps_its_height(robot: Robot) -> None:
         keep_in_reach(config, model, np.eye(3), leg, below)
         assert np.isfinite(below).all()
         knee = leg_inverse(robot.geometry[leg], *moved)[2]
-        assert knee == pytest.approx(robot.joint_upper[3 * leg + 2] - default_config().joint_margin, abs=1e-6)
+        assert knee == pytest.approx(robot.joint_upper[3 * leg + 2] - ControllerConfig().joint_margin, abs=1e-6)

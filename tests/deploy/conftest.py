@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.rig import Rig
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.sequence import MotionSequence, make_sequence
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.standing import standing
@@ -18,12 +18,12 @@ def trot(a1: Robot) -> Motion:
 
 @pytest.fixture(scope="session")
 def way(a1: Robot, trot: Motion) -> MotionSequence:
-    return make_sequence(a1, trot, default_config())
+    return make_sequence(a1, trot, ControllerConfig())
 
 
 @pytest.fixture(scope="session")
 def standstill(a1: Robot) -> MotionSequence:
-    return make_sequence(a1, standing(a1), default_config())
+    return make_sequence(a1, standing(a1), ControllerConfig())
 
 
 @pytest.fixture

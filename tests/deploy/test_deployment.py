@@ -7,7 +7,7 @@ import pytest
 
 from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DriverError, MotionError
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.account import summary_rows
 from fastmimic.deploy.computer import LoopClock, Rehearsal, VirtualClock
 from fastmimic.deploy.deployment import Deployment, figures, score_log
@@ -162,7 +162,7 @@ def test_the_reference_goes_on_where_one_part_ends_and_the_next_begins(way: Moti
 
 def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [2, 2])
-    way = make_sequence(a1, stitched, default_config())
+    way = make_sequence(a1, stitched, ControllerConfig())
     follower = Follower(way)
     seen, memory, steps, feet = np.zeros(1, OBSERVATION), np.zeros(1, MEMORY), 0, []
     while not follower.done:
@@ -190,7 +190,7 @@ def test_haste_passes_no_end_of_a_part(way: MotionSequence) -> None:
 def test_a_passage_is_entered_and_left_within_its_strides(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [3, 3])
     passage = dataclasses.replace(stitched, parts=())
-    way = make_sequence(a1, passage, default_config())
+    way = make_sequence(a1, passage, ControllerConfig())
     assert way.first < trot.n_samples
     assert passage.n_samples - way.last < 1.5 * trot.n_samples
     assert way.text.startswith(f"{passage.name} from 0.")
@@ -201,7 +201,7 @@ def test_a_passage_is_entered_and_left_within_its_strides(a1: Robot, trot: Motio
 
 def test_a_passage_too_short_is_refused(a1: Robot, trot: Motion) -> None:
     with pytest.raises(MotionError, match=r"lasts 0\.50 s, too short to be entered from standing"):
-        make_sequence(a1, dataclasses.replace(trot, cycle=None), default_config())
+        make_sequence(a1, dataclasses.replace(trot, cycle=None), ControllerConfig())
 
 
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
@@ -213,13 +213,13 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     assert again.truth.tobytes() == log.truth.tobytes()
     assert again.meta["result"]["periods"] == len(log.rows)
     assert again.motion.joint_pos.tobytes() == log.motion.joint_pos.tobytes()
-    score = score_log(a1, again, default_config())
+    score = score_log(a1, again, ControllerConfig())
     assert score is not None
     assert score.rollout.reward[0] == log.meta["result"]["reward_mean"]
 
 
 def test_a_run_is_scored_with_its_own_contact_threshold(trotting: Rig) -> None:
-    usual = default_config()
+    usual = ControllerConfig()
     config = dataclasses.replace(usual, gait=dataclasses.replace(usual.gait, contact_threshold=1.2))
     done = trotting.run(cycles=2, config=config)
     own, other = (figures(score_log(trotting.robot, done.log, c)) for c in (config, usual))

@@ -5,7 +5,7 @@ import pytest
 
 from deploy.rig import Rig, once
 from fastmimic.base.errors import DeploymentError
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.account import summary_rows
 from fastmimic.deploy.deployment import Deployment, evaluation_of
 from fastmimic.deploy.safety import StopReason
@@ -52,7 +52,7 @@ def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) ->
     assert said["velocity error, median"].endswith(" rad/s")
     assert said["response, median"].endswith(" ms")
     with pytest.raises(DeploymentError, match="the robot was steered"):
-        evaluation_of(a1, done.log, default_config())
+        evaluation_of(a1, done.log, ControllerConfig())
 
 
 def test_asked_to_sit_down_it_stands_first(steered: Rig) -> None:

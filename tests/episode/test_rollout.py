@@ -11,7 +11,7 @@ from control.motions import gait, standing, turned
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, rotate_planar, yaw_from_quat
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, Start, nominal_start, perturbed_start
@@ -438,7 +438,7 @@ class TestRefused:
     def test_a_rate_that_the_physics_cannot_follow(self, robot: Robot, motion: Motion) -> None:
         odd = dataclasses.replace(motion, rate_hz=300.0)
         with pytest.raises(ConfigError, match="must be a multiple of the control rate"):
-            ClosedLoop(robot, odd, 1, dataclasses.replace(default_config(), rate_hz=300.0))
+            ClosedLoop(robot, odd, 1, dataclasses.replace(ControllerConfig(), rate_hz=300.0))
 
     def test_starts_for_another_number_of_robots(self, loop: ClosedLoop) -> None:
         with pytest.raises(ConfigError, match="holds 3 robots; 2 starts"):

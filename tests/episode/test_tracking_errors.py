@@ -7,7 +7,7 @@ import pytest
 import fastmimic as fm
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import perturbed_start
@@ -115,7 +115,7 @@ def test_success_is_to_stay_near(
 ) -> None:
     table = reference_table(turn, robot)
     scorer, memory, seen = (
-        Scorer(robot, table, 1, default_config(), RATE_HZ),
+        Scorer(robot, table, 1, ControllerConfig(), RATE_HZ),
         np.zeros(1, MEMORY),
         np.zeros(1, OBSERVATION),
     )
@@ -136,7 +136,7 @@ def test_success_is_to_stay_near(
 
 
 def test_an_episode_that_fell_at_once_has_no_measures(robot: Robot, turn: Motion) -> None:
-    scorer = Scorer(robot, reference_table(turn, robot), 1, default_config(), RATE_HZ)
+    scorer = Scorer(robot, reference_table(turn, robot), 1, ControllerConfig(), RATE_HZ)
     scorer.tallies["fallen"] = 1
     found = tracking_errors(scorer.tallies)[0]
     assert not found["success"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.control.config import default_config, paper_config
+from fastmimic.control.config import CONFIGS, ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import perturbed_start
 from fastmimic.episode.reward import TERMS, WEIGHTS
@@ -81,9 +81,9 @@ class TestPlan:
     @pytest.mark.parametrize(
         ("config", "own"),
         [
-            (default_config(), {"full-adaptation"}),
+            (ControllerConfig(), {"full-adaptation"}),
             (
-                paper_config(),
+                CONFIGS["paper"],
                 {
                     "paper-adaptation",
                     "paper-controller",
@@ -189,7 +189,7 @@ class TestRows:
         start = replace(start, joint_offset=3 * start.joint_offset, velocity_offset=3 * start.velocity_offset)
         early = {}
         for name in ("", "no-state-machine"):
-            config = ablation_named(name).change(default_config())
+            config = ablation_named(name).change(ControllerConfig())
             early[name] = run_episodes(robot, trot, start=start, duration_s=0.8, config=config).early_contacts
         assert early[""].any()
         assert not early["no-state-machine"].any()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import LogError
-from fastmimic.control.config import default_config, read_config
+from fastmimic.control.config import ControllerConfig, read_config
 from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.identify import FRICTION_MARGIN, Friction, identify
@@ -49,10 +49,10 @@ class TestFriction:
         assert found.friction.value is None
         assert found.friction.upper is None
         assert 0.1 < found.friction.lower <= 0.2  # they held at half of 0.4
-        assert found.changes(default_config()) == {"robot": "a1"}
+        assert found.changes(ControllerConfig()) == {"robot": "a1"}
 
     def test_tells_the_controller_less_and_never_more(self, robot: Robot, make_log: MakeLog) -> None:
-        config = default_config()
+        config = ControllerConfig()
         found = identify(make_log(0.4), robot)
         assert found.friction.value is not None
         assert found.stance_friction(config) == pytest.approx(FRICTION_MARGIN * found.friction.value)
@@ -101,7 +101,7 @@ class TestPayload:
         found = identify(make_log(payload=0.1), robot)
         assert found.payload is not None
         assert found.payload.certain == 0.0
-        assert "load" not in found.changes(default_config())
+        assert "load" not in found.changes(ControllerConfig())
 
 
 class TestResult:
@@ -110,9 +110,9 @@ class TestResult:
         found.save(tmp_path / "a1.json")
         config = read_config(tmp_path / "a1.json")
         assert config.robot == "a1"
-        assert config.stance.friction == pytest.approx(found.stance_friction(default_config()), abs=1e-3)
+        assert config.stance.friction == pytest.approx(found.stance_friction(ControllerConfig()), abs=1e-3)
         assert config.load.mass == pytest.approx(2.0, abs=0.05)
-        assert found.configure(default_config()).stance == config.stance
+        assert found.configure(ControllerConfig()).stance == config.stance
         said = json.loads((tmp_path / "a1.json").read_text())["identified"]
         assert said["friction"]["slides"] == found.friction.slides
 

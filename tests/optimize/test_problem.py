@@ -9,7 +9,7 @@ import pytest
 from control.motions import gait
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import nominal_start, perturbed_start
@@ -239,7 +239,7 @@ class TestIdentity:
         demonstration: Motion,
         dmp: MotionDmp,
     ) -> None:
-        config = dataclasses.replace(default_config(), joint_margin=0.02)
+        config = dataclasses.replace(ControllerConfig(), joint_margin=0.02)
         other_motion = gait(robot, (0.31, 0.05), 0.4, n_samples=200)
         go1 = load_robot("go1")
         on_go1 = gait(go1, (0.3, 0.05), 0.4, n_samples=200)

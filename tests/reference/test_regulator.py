@@ -9,7 +9,7 @@ from control.motions import gait, standing
 from control.rig import Rig, on_reference
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import STATES, _Model, motion_gains, regulator_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
@@ -85,7 +85,7 @@ def test_the_gains_make_every_error_vanish_within_some_cycles(robot: Robot, trot
 def test_a_robot_that_falls_to_a_side_steps_to_that_side(robot: Robot, trot: Motion) -> None:
     """The shift of the next footholds is what the capture point says, √(h/g) for each m/s, give or take a half."""
     gains, contact = motion_gains(trot, robot, CONFIG), trot.contact
-    config = default_config()
+    config = ControllerConfig()
     start = int(np.flatnonzero(contact[:, 0] & ~np.roll(contact[:, 0], -1))[0]) + 1  # leg FR lifts off
     rig = Rig(robot, [trot], np.array([start]), config)
     last = start
@@ -125,7 +125,7 @@ def test_a_motion_that_ends_has_gains_to_its_end(robot: Robot, trot: Motion) -> 
 def test_the_disturbance_is_what_the_forces_do_not_explain(robot: Robot) -> None:
     """A push of 1 m/s² that lasts is known after some time constants, and made up for."""
     stand = standing(robot)
-    rig = Rig(robot, [stand], np.array([0]), default_config())
+    rig = Rig(robot, [stand], np.array([0]), ControllerConfig())
     observation = on_reference(stand, np.array([0]))
     rig.step(observation)
     for _ in range(2000):

@@ -3,7 +3,7 @@
 import pytest
 
 from browsing import browser
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
@@ -26,7 +26,7 @@ def rollout(trot: Motion, a1: Robot) -> Rollout:
 
 @pytest.fixture(scope="session")
 def take(rollout: Rollout, trot: Motion, a1: Robot) -> Take:
-    return rollout_take(rollout, trot, a1, default_config(), "trot")
+    return rollout_take(rollout, trot, a1, ControllerConfig(), "trot")
 
 
 __all__ = ["browser"]

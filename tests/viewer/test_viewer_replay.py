@@ -7,7 +7,7 @@ import pytest
 
 from deploy.rig import Rig
 from fastmimic.base.errors import DeploymentError
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.sequence import make_sequence
 from fastmimic.deploy.state_machine import DeploymentPhase
@@ -19,7 +19,7 @@ from fastmimic.viewer.replay import deployment_take
 
 @pytest.fixture(scope="module")
 def log(a1: Robot) -> DeploymentLog:
-    return Rig(a1, make_sequence(a1, standing(a1), default_config())).run(duration_s=0.4).log
+    return Rig(a1, make_sequence(a1, standing(a1), ControllerConfig())).run(duration_s=0.4).log
 
 
 def test_the_whole_run_is_shown_by_the_true_states(log: DeploymentLog, a1: Robot) -> None:

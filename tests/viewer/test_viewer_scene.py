@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal
@@ -111,7 +111,7 @@ def test_colours_are_decoded_to_linear_light() -> None:
 def test_on_a_terrain_the_view_climbs_and_the_marks_lie_on_it(opened: "Open", trot: Motion, a1: Robot) -> None:
     conditions = Conditions(terrain=parse_terrain("rough=0.03"), seed=2)
     rollout = evaluate(trot, a1, duration_s=0.3, conditions=conditions, log=True).rollout
-    take = rollout_take(rollout, trot, a1, default_config(), "trot")
+    take = rollout_take(rollout, trot, a1, ControllerConfig(), "trot")
     assert take.terrain is conditions.ground
     scene = opened([[take]]).robots[0]
     scene.show(take.rows - 1, follow=True)

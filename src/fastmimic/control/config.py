@@ -199,19 +199,12 @@ def _rules(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
     )
 
 
-def default_config() -> ControllerConfig:
-    """The full controller with the project's gains."""
-    return ControllerConfig()
-
-
-def paper_config() -> ControllerConfig:
-    """The paper's form: no feed-forward of accelerations or leg dynamics, eq. 2 and 3 as printed."""
-    changes = packaged("fastmimic.control", "paper.json", dict[str, Any])
-    found: ControllerConfig = changed(ControllerConfig(), changes, "paper")
-    return found
-
-
-CONFIGS: Final = {"default": default_config, "paper": paper_config}
+CONFIGS: Final[dict[str, ControllerConfig]] = {
+    "default": ControllerConfig(),
+    "paper": changed(ControllerConfig(), packaged("fastmimic.control", "paper.json", dict[str, Any]), "paper"),
+}
+"""The full controller with the project's gains, and the paper's form: no feed-forward of accelerations or leg dynamics,
+eq. 2 and 3 as printed."""
 
 
 def controller_config(name: str) -> ControllerConfig:
@@ -220,7 +213,7 @@ def controller_config(name: str) -> ControllerConfig:
         return read_config(name)
     if name not in CONFIGS:
         raise unknown("configuration", name, (*CONFIGS, "or a file (.json)"))
-    return CONFIGS[name]()
+    return CONFIGS[name]
 
 
 def read_config(path: str | Path) -> ControllerConfig:
@@ -233,7 +226,7 @@ def read_config(path: str | Path) -> ControllerConfig:
     base = found.get("base", "default")
     if not isinstance(base, str) or base not in CONFIGS:
         raise ConfigError(f"{path}: {unknown('base', str(base), CONFIGS)}")
-    config: ControllerConfig = changed(CONFIGS[base](), {"name": Path(path).name, **changes}, str(path))
+    config: ControllerConfig = changed(CONFIGS[base], {"name": Path(path).name, **changes}, str(path))
     return config
 
 

@@ -10,7 +10,7 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, transposed_times
-from fastmimic.control.config import ControllerConfig, StanceConfig, default_config, loaded_robot, pack_config
+from fastmimic.control.config import ControllerConfig, StanceConfig, loaded_robot, pack_config
 from fastmimic.control.footing import see_ground
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
@@ -240,7 +240,7 @@ class Controller:
     def __init__(self, robot: Robot, motions: Sequence[Motion], n: int, config: ControllerConfig | None = None) -> None:
         """`motions` has one reference for all robots, or one for each. Raises `ConfigError` if the references are at
         another rate or neither 1 nor n, or the config is for another robot; `MotionError` if they differ in length."""
-        self.config = config if config is not None else default_config()
+        self.config = config if config is not None else ControllerConfig()
         if self.config.robot not in ("", robot.name):
             raise ConfigError(
                 f"controller configuration '{self.config.name}' is for robot '{self.config.robot}', not '{robot.name}'"

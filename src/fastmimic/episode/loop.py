@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
-from fastmimic.control.config import ControllerConfig, default_config, loaded_robot
+from fastmimic.control.config import ControllerConfig, loaded_robot
 from fastmimic.control.controller import Controller, gains_of
 from fastmimic.episode.observer import Observer
 from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start, start_room
@@ -80,7 +80,7 @@ class ClosedLoop:
     ) -> None:
         """`controller` makes another controller than the model-based one, and may raise any `FastMimicError`. Raises
         `MotionError` if the motion is for another robot, `ConfigError` if it is for another rate."""
-        config = config if config is not None else default_config()
+        config = config if config is not None else ControllerConfig()
         self.conditions = conditions if conditions is not None else Conditions()
         demonstration.check_robot(robot.name)
         self.robot = robot
@@ -338,7 +338,7 @@ def run_episodes(
 def share_of_falls(robot: Robot, motion: Motion) -> float:
     """Share of 10 perturbed starts from which the robot falls in 10 s of a cycle under the default controller, without
     recovery steps: a motion should not need them. The starts are not those of evaluations."""
-    config = default_config()
+    config = ControllerConfig()
     config = dataclasses.replace(config, gait=dataclasses.replace(config.gait, recovery_steps=False))
     start = perturbed_start(10, start_room(motion, motion.period_s), np.random.default_rng(20_000))
     return float(run_episodes(robot, motion, start=start, config=config).fell.mean())

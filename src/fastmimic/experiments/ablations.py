@@ -7,7 +7,7 @@ from typing import Any, Final
 from fastmimic.base.configuration import changed
 from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
-from fastmimic.control.config import ControllerConfig, paper_config
+from fastmimic.control.config import CONFIGS, ControllerConfig
 from fastmimic.primitive.rhythmic import N_BASIS
 
 ABLATED: Final = "mbc-dmp"
@@ -26,7 +26,7 @@ class Ablation:
 
     def change(self, config: ControllerConfig) -> ControllerConfig:
         """The variant's configuration, in place of the method's."""
-        found: ControllerConfig = changed(paper_config() if self.paper else config, self.changes, self.name)
+        found: ControllerConfig = changed(CONFIGS["paper"] if self.paper else config, self.changes, self.name)
         return found
 
 

@@ -114,7 +114,7 @@ def made_with(
 ) -> Motion:
     """An optimised motion (a demonstration records no method) with its method and settings in its provenance. Of
     `config`, with the method's changes, only the name of its set is kept; None if it equals no set."""
-    same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]()) == config
+    same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]) == config
     over = None if randomization is None else msgspec.convert(randomization.as_dict(), RandomizationRecord)
     record = MadeWith(method, config.name if same else None, over)
     return replace(motion, provenance=replace(motion.provenance, made_with=record))

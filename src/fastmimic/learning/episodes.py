@@ -19,7 +19,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
-from fastmimic.control.config import default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import Scorer
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
@@ -196,7 +196,7 @@ class Shard:
         self._settings = pack_settings(config, robot)
         self._clocks = make_clocks(motion, n)
         self._senses = make_senses(n)
-        self.scorer = Scorer(robot, table, n, default_config(), config.control_rate_hz)
+        self.scorer = Scorer(robot, table, n, ControllerConfig(), config.control_rate_hz)
         self._memories = np.zeros(n, MEMORY)  # of the gait planner, which policies do not use
         self._commands = np.zeros(n, COMMAND)
         self._rotation = np.zeros((3, 3))

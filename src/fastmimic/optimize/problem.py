@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import available_cores
-from fastmimic.control.config import ControllerConfig, default_config
+from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start
@@ -94,7 +94,7 @@ class Problem(ABC):
         self.start = self.initial
         self.objective = objective
         self.randomization = objective.randomization
-        self.config = config if config is not None else default_config()
+        self.config = config if config is not None else ControllerConfig()
         self.workers = workers if workers is not None else available_cores()
         self.divisions: tuple[int, ...] = ()  # control steps that divide episodes into parts
         self._loops: dict[tuple[int, int, bool], ClosedLoop] = {}
