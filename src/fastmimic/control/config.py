@@ -232,11 +232,7 @@ def read_config(path: str | Path) -> ControllerConfig:
 
 _PACKED: Final = (ControllerConfig, GaitConfig, StanceConfig, HorizonConfig, SwingConfig)
 _RECORD: Final = record_dtype(
-    [
-        ("dt", "f8"),
-        ("horizon_interval", "i8"),
-        *(field for part in _PACKED for field in record_fields(part)),
-    ]
+    [("dt", "f8"), ("horizon_interval", "i8"), *(field for part in _PACKED for field in record_fields(part))]
 )
 
 

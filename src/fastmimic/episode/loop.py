@@ -19,13 +19,7 @@ from fastmimic.episode.reward import Scorer, demonstration_in_world
 from fastmimic.episode.rollout import Log, Rollout, summarised
 from fastmimic.estimation.estimator import START
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.table import (
-    advance_clocks,
-    make_clocks,
-    place_clocks,
-    reference_table,
-    stack_tables,
-)
+from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks, reference_table, stack_tables
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.simulation.conditions import Conditions, episode_generator

@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
-from fastmimic.base.rotations import (
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-    turned_about_z,
-    yaw_from_quat,
-)
+from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, turned_about_z, yaw_from_quat
 from fastmimic.base.vectors import copy
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import motion_gains
@@ -276,14 +270,7 @@ def _cubic(p0: float, p1: float, p2: float, p3: float, u: float) -> float:
 
 @kernel
 def _sample(
-    course: Any,
-    following: Any,
-    exit_row: int,
-    entry: int,
-    position: float,
-    neighbours: bool,
-    work: Any,
-    out: Any,
+    course: Any, following: Any, exit_row: int, entry: int, position: float, neighbours: bool, work: Any, out: Any
 ) -> None:
     """One row of the table without joints and pose, in its root's heading frame; feet in `work`, with `neighbours` also
     those one control step before and after."""

@@ -49,10 +49,7 @@ starts; `gain` is the row of the regulator's gains, one for each `GAIN_SAMPLES` 
 GAIN_SAMPLES: Final = 4
 
 CLOCK: Final = record_dtype(
-    [
-        *integers(sample=(), cycle=(), repeats=()),
-        *floats(origin=3, cycle_step=3, jump=(), part=(), ahead=(), held=2),
-    ]
+    [*integers(sample=(), cycle=(), repeats=()), *floats(origin=3, cycle_step=3, jump=(), part=(), ahead=(), held=2)]
 )
 """A robot's progress in its reference: sample, period, whether the motion repeats, (x, y, yaw) of the period's origin,
 one period's displacement, and the distance by which synchronisation has moved the origin so far, m. After haste, it is

@@ -1,6 +1,6 @@
 """Computes the joints from trunk and foot paths: base height, inverse kinematics, limits, velocities."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -38,7 +38,7 @@ class Pose:
     foot_pos_b: Array  # (t, 4, 3) m, the feet of those joints
     unreachable: NDArray[np.bool_]  # (t, 4) samples in which a leg was too short or too long
     limited: NDArray[np.bool_]  # (t, 12) samples in which a joint was held at its limit
-    lowered_m: float  # distance by which the base was lowered for reach
+    lowered_m: float = 0.0  # distance by which the base was lowered for reach
 
 
 def solve_pose(
@@ -68,7 +68,7 @@ def solve_pose(
         if violation == 0:
             break
     assert best is not None
-    return pose_at(robot, track, feet_w, height - best[1], (lower, upper), best[1])
+    return replace(pose_at(robot, track, feet_w, height - best[1], (lower, upper)), lowered_m=best[1])
 
 
 def folding_rise(
@@ -104,12 +104,7 @@ def _folding(robot: Robot, quat: Array, q: Array, base_z: Array, config: Retarge
 
 
 def pose_at(
-    robot: Robot,
-    track: TrunkTrack,
-    feet_w: Array,
-    height: float,
-    limits: tuple[Array, Array] | None = None,
-    lowered_m: float = 0.0,
+    robot: Robot, track: TrunkTrack, feet_w: Array, height: float, limits: tuple[Array, Array] | None = None
 ) -> Pose:
     """Like `solve_pose` at one height; smooth in its arguments without joint `limits` (12,), rad."""
     quat = trunk_quaternion(track.heading, track.tilt)
@@ -122,7 +117,6 @@ def pose_at(
         foot_pos_b=foot_positions(robot, joints),
         unreachable=~reachable,
         limited=joints != q,
-        lowered_m=lowered_m,
     )
 
 

@@ -232,19 +232,14 @@ def closure_of_motion(motion: Motion, track: TrunkTrack) -> tuple[float, float]:
     assert motion.cycle is not None
     points = np.concatenate([motion.root_pos_w[:, None], motion.foot_pos_w], axis=1)
     repeated = np.concatenate([track.moved(points[0, :, :2], 1), points[0, :, 2:]], axis=1)
-    distance = max(float(np.linalg.norm(apart)) for apart in _continued(points[-3:]) - repeated)
+    continued = points[-3] - 3 * points[-2] + 3 * points[-1]
+    distance = max(float(np.linalg.norm(apart)) for apart in continued - repeated)
     last = motion.root_quat_wxyz[-1]
     turn = (1.5 * motion.root_ang_vel_w[-1] - 0.5 * motion.root_ang_vel_w[-2]) * motion.dt
     ahead_quat = quat_multiply(quat_from_rotvec(turn), last)
     repeated_quat = quat_multiply(quat_from_yaw(motion.cycle[2]), motion.root_quat_wxyz[0])
     angle = np.linalg.norm(rotvec_from_quat(quat_multiply(ahead_quat, quat_conjugate(repeated_quat))))
     return distance, float(np.degrees(angle))
-
-
-def _continued(last_three: Array) -> Array:
-    """The next sample by constant acceleration."""
-    a, b, c = last_three
-    return a - 3 * b + 3 * c
 
 
 def mean_speed(velocity_xy: Array, heading: Array) -> float:

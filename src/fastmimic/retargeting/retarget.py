@@ -30,8 +30,6 @@ from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 from fastmimic.trajectory.executable import nearest_executable
 
-__all__ = ["RetargetConfig", "RetargetReport", "choose_scale", "retarget"]
-
 DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE  # of an animal of unknown size, so that other robots scale by their own
 MIN_FRAMES: Final = 8
 

@@ -64,7 +64,7 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
     transitions = []
     for i in range(1, len(motions)):
         both = own[i - 1], own[i]
-        transition = make_transition(robot, layout, i, track, raw_w, contact, both, rate, reach, config)
+        transition = make_transition(robot, layout, i, track, raw_w, contact, both, rate, config)
         transitions.append(transition)
         for name, values in transition.arrays.items():
             arrays[name][transition.span.start : transition.span.end] = values

@@ -2,7 +2,7 @@
 execute. Feet planted under the blended trunk are a first guess; optimal control (`fastmimic.trajectory`) finds the
 motion nearest to it that joins the two."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -88,7 +88,6 @@ def make_transition(
     contact: NDArray[np.bool_],
     own: tuple[Cycle, Cycle],
     rate_hz: float,
-    reach: Reach,
     config: RetargetConfig,
 ) -> Transition:
     """Rebuilds the samples between segments `index` − 1 and `index`. `track` is the blended trunk of the whole, `raw_w`
@@ -101,7 +100,7 @@ def make_transition(
     names = ("root_xy", "root_z", "heading", "tilt", "toe_from_hip", "toe_height")
     local = TrunkTrack(**{name: getattr(track, name)[part] for name in names}, cycle=None)
     height = float(local.root_z.mean())
-    reach = replace(reach, hip_height=height + float(robot.hip_pos_b[:, 2].mean()) - robot.foot_radius)
+    reach = Reach.of_robot(robot, height, config.reach_margin_rad)
     raw = np.array(raw_w[part])
     raw[..., 2] = np.maximum(raw[..., 2] - robot.foot_radius, 0.0)
 
