@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 
 from fastmimic.base.errors import CheckpointError, ConfigError
+from fastmimic.imitation.methods import METHODS, randomization
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import CmaSettings, Optimum, Progress, optimize
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import ImitationProblem, Objective
-from fastmimic.optimize.randomization import (
-    CRITERIA,
-    HELD_OUT_ROBOTS,
-    Randomization,
-    randomization,
-    usual_randomization,
-)
+from fastmimic.optimize.randomization import CRITERIA, HELD_OUT_ROBOTS, Randomization, usual_randomization
 from fastmimic.optimize.stitched import StitchedProblem
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
@@ -95,8 +90,8 @@ class TestRobots:
 
     def test_the_usual_ones_differ_in_ground_load_and_motors(self) -> None:
         assert Randomization().over == usual_randomization()
-        assert randomization(6) == Randomization(robots=6)
-        assert randomization(None) is None
+        assert randomization(METHODS["mbc-dmp"], 6) == Randomization(robots=6)
+        assert randomization(METHODS["mbc-dmp"], None) is None
 
 
 class TestScores:

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Final, NoReturn, Protocol, TypeVar
+from typing import Any, Final, NoReturn, TypeVar
 
 from fastmimic.base.errors import ConfigError, FastMimicError, unknown
 
@@ -19,15 +19,7 @@ VARIABLE: Final = "FASTMIMIC_EXTENSIONS"
 GROUP: Final = "fastmimic.extensions"
 
 
-class Named(Protocol):
-    """An entry of a registry."""
-
-    @property
-    def name(self) -> str:
-        """What it is called on the command line and in files."""
-
-
-Entry = TypeVar("Entry", bound=Named)
+Entry = TypeVar("Entry", bound=Any)  # with a `name`: what it is called on the command line and in files
 
 
 class Registry(dict[str, Entry]):

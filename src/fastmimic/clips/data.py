@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from fastmimic.base.errors import DataError
-from fastmimic.base.files import packaged
+from fastmimic.base.errors import DataError, OutputError
+from fastmimic.base.files import packaged, replace_file
 from fastmimic.base.registry import Registry
 
 DEFAULT_BASE_URL: Final = (
@@ -18,6 +18,7 @@ DEFAULT_BASE_URL: Final = (
 FOLDER_VARIABLE: Final = "FASTMIMIC_DATA"
 URL_VARIABLE: Final = "FASTMIMIC_DATA_URL"
 TIMEOUT_S: Final = 30.0
+_CHUNK: Final = 65536  # bytes between two reports
 
 Progress = Callable[[str, int, int], None]  # file name, bytes received, and total bytes (0 if unknown)
 
@@ -126,27 +127,23 @@ def _fetch_file(root: Path, dataset: Dataset, name: str, base_url: str, progress
 
 def _download(root: Path, local: str, digest: str, url: str, progress: Progress | None) -> Path | None:
     """The verified file, or None if the URL does not exist on the server."""
-    import pooch
     import requests
 
-    # Uncompressed, so that the announced length is the file's.
-    downloader = pooch.HTTPDownloader(
-        progressbar=_ProgressBar(local, progress) if progress else False,
-        timeout=TIMEOUT_S,
-        headers={"Accept-Encoding": "identity"},
-    )
-    # `progress` and the exceptions report what pooch would log.
-    logger = pooch.get_logger()
-    level = logger.level
-    logger.setLevel("WARNING")
+    path, content = root / local, bytearray()
+    if path.is_file() and sha256(path.read_bytes()).hexdigest() == digest:
+        return path
+    whole = {"Accept-Encoding": "identity"}  # uncompressed, so that the announced length is the file's
     try:
-        registry = pooch.create(path=root, base_url="", registry={local: digest}, urls={local: url})
-        return Path(registry.fetch(local, downloader=downloader))
-    except requests.exceptions.HTTPError as error:
-        response: Any = error.response
-        if response.status_code == requests.codes.not_found:
-            return None
-        raise DataError(f"{url}: the server answered {response.status_code} ({response.reason})") from None
+        with requests.get(url, headers=whole, timeout=TIMEOUT_S, stream=True) as reply:
+            if reply.status_code == requests.codes.not_found:
+                return None
+            if not reply.ok:
+                raise DataError(f"{url}: the server answered {reply.status_code} ({reply.reason})")
+            total = int(reply.headers.get("Content-Length", 0))
+            for part in reply.iter_content(_CHUNK):
+                content += part
+                if progress is not None:
+                    progress(local, len(content), total)
     except requests.exceptions.Timeout:
         raise DataError(f"{url}: no answer within {TIMEOUT_S:g} s; try again later") from None
     except requests.exceptions.ChunkedEncodingError:
@@ -155,26 +152,10 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
         raise DataError(f"{url}: the server cannot be reached; check the network or the base URL") from None
     except requests.exceptions.RequestException as error:
         raise DataError(f"{url}: cannot be fetched ({' '.join(str(error).split())[:200]})") from None
-    except ValueError:  # from pooch: the hash differs
-        raise DataError(f"{url}: the content is not the one expected (SHA-256 differs); nothing was kept") from None
-    except OSError as error:
-        raise DataError(f"{root / local}: cannot be written ({error.strerror or error})") from None
-    finally:
-        logger.setLevel(level)
-
-
-class _ProgressBar:
-    """A progress bar for pooch that calls `Progress`."""
-
-    def __init__(self, name: str, progress: Progress) -> None:
-        self.total = 0
-        self._name, self._progress, self._done = name, progress, 0
-
-    def update(self, n: int) -> None:
-        self._done = min(self._done + n, self.total) if self.total else self._done + n
-        self._progress(self._name, self._done, self.total)
-
-    def reset(self) -> None:
-        self._done = 0
-
-    def close(self) -> None: ...
+    if sha256(content).hexdigest() != digest:
+        raise DataError(f"{url}: the content is not the one expected (SHA-256 differs); nothing was kept")
+    try:
+        replace_file(path, lambda file: file.write(content))
+    except OutputError as error:
+        raise DataError(str(error)) from None
+    return path

@@ -28,6 +28,7 @@ from fastmimic.motion.ground import GroundDemand, ground_demand
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.robot.state import commanded_torque
 from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
 
 SAMPLE_S: Final = 0.004  # time between the examined instants of a motion
@@ -148,8 +149,7 @@ def describe_fall(robot: Robot, rollout: Rollout, episode: int = 0) -> Fall | No
     first = max(0, last - round(BEFORE_S * log.rate_hz))
     before, state = log.observation[episode, first : last + 1], log.observation[episode, last]
     command = log.command[episode, first + 1 : last + 1]
-    torque = command["torque"] + command["stiffness"] * (command["joint_pos"] - before["joint_pos"][:-1])
-    torque = torque + command["damping"] * (command["joint_vel"] - before["joint_vel"][:-1])
+    torque = commanded_torque(command, before["joint_pos"][:-1], before["joint_vel"][:-1])
     saturated = float(np.mean(np.abs(torque) >= robot.torque_limit)) if len(torque) else 0.0
     return Fall(
         time_s=last / log.rate_hz,

@@ -18,12 +18,12 @@ from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import TRACKED, Metrics, swing_clearance
 from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.methods import check_controller, made_with, method_named
+from fastmimic.imitation.methods import check_controller, made_with, method_named, randomization
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
 from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
 from fastmimic.optimize.problem import Objective
-from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization, randomization
+from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization
 from fastmimic.optimize.stitched import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
@@ -184,9 +184,7 @@ def imitate(
     config = chosen.configure(config)
     controller = controller or chosen.controller
     settings = CmaSettings(iterations, population, seed, choice=choice)
-    over = randomization(randomize)
-    if over is not None and not chosen.optimises:
-        raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
+    over = randomization(chosen, randomize)
     moved = None
     if warm_start is not None:
         if not chosen.optimises:

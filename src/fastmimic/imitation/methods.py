@@ -109,6 +109,14 @@ def check_controller(method: Method, given: bool) -> None:
         raise ConfigError(f"method '{method.name}' does not use a policy; drop --policy")
 
 
+def randomization(method: Method, given: int | Randomization | None) -> Randomization | None:
+    """The argument of `imitate` as settings: a number of robots stands for the usual ranges and the mean. Raises
+    `ConfigError` if the method has no search."""
+    if given is not None and not method.optimises:
+        raise ConfigError(f"randomisation is of a search, and method '{method.name}' has none; leave it out")
+    return Randomization(robots=given) if isinstance(given, int) else given
+
+
 def made_with(
     motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
 ) -> Motion:

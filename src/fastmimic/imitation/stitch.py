@@ -16,11 +16,11 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import check_workers
 from fastmimic.imitation.imitate import Imitation, imitate
-from fastmimic.imitation.methods import check_controller, made_with, method_named
+from fastmimic.imitation.methods import check_controller, made_with, method_named, randomization
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Checkpoint, CmaSettings, Progress
 from fastmimic.optimize.parameters import FOOT_HEIGHT, FinalChoice, needed_group
-from fastmimic.optimize.randomization import Randomization, randomization
+from fastmimic.optimize.randomization import Randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import MotionSource, load_motion
@@ -95,9 +95,7 @@ def stitch(
     for generations in (iterations, part_iterations):  # checks before any long work
         if generations is not None:
             CmaSettings(generations, population if population is not None else PART_POPULATION, seed)
-    over = randomization(randomize)
-    if over is not None and not chosen.optimises:
-        raise ConfigError(f"randomisation is of a search, and method '{method}' has none; leave it out")
+    over = randomization(chosen, randomize)
     check_workers(workers)
     if isinstance(cycles, int) and cycles < 1:
         raise ConfigError(f"every motion needs at least one cycle, found {cycles}")

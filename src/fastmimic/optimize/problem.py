@@ -28,6 +28,7 @@ from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.plan import Start, episode_steps, nominal_start, perturbed_start
 from fastmimic.episode.reward import N_TERMS, REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
+from fastmimic.executors import check_workers
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
 from fastmimic.optimize.randomization import Randomization
@@ -84,8 +85,7 @@ class Problem(ABC):
         workers: int | None = None,
     ) -> None:
         """Arguments as attributes; `workers` are threads (None: one per core). Raises `ConfigError` below one."""
-        if workers is not None and workers < 1:
-            raise ConfigError(f"workers must be at least 1, found {workers}")
+        check_workers(workers)
         self.robot = robot
         self.demonstration = demonstration
         # without the animal's motion, whose reward the search does not ask for

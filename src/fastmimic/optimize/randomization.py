@@ -107,8 +107,3 @@ class Randomization:
     def __str__(self) -> str:
         over = ", ".join(str(r) for r in self.over)
         return f"{self.robots} robots for each candidate, the {self.criterion} of their scores, over {over}"
-
-
-def randomization(given: "int | Randomization | None") -> Randomization | None:
-    """The argument of `imitate` as settings: a number of robots stands for the usual ranges and the mean."""
-    return Randomization(robots=given) if isinstance(given, int) else given
