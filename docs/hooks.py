@@ -20,7 +20,6 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 def parameter_tables() -> str:
     """A table for each class of settings, Markdown."""
-    from fastmimic.base.configuration import describe
     from fastmimic.base.text import markdown_table
     from fastmimic.control import config
     from fastmimic.deploy.safety import SafetyLimits
@@ -39,6 +38,18 @@ def parameter_tables() -> str:
         about = str(kind.__doc__).split("\n\n")[0].strip()
         lines += [f"## {kind.__name__}", "", about, "", *markdown_table(header, describe(kind)), ""]
     return "\n".join(lines)
+
+
+def describe(kind: type) -> list[tuple[str, str, str, str, str]]:
+    """Rows of a table: name, default, unit, range and meaning of each parameter."""
+    from fastmimic.base.configuration import parameters
+
+    rows = []
+    for name, (known, default) in parameters(kind).items():
+        shown = ", ".join(f"{v:g}" for v in default) if isinstance(default, tuple) else default
+        text = f"{shown:g}" if isinstance(shown, float) else str(shown)
+        rows.append((name, text, known.unit, known.range() if not isinstance(default, bool) else "", known.about))
+    return rows
 
 
 def _verbs() -> str:

@@ -1,7 +1,9 @@
 """Settings as data: checks, packed records, reading and documentation out of the fields' metadata."""
 
 import dataclasses
+import runpy
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +12,6 @@ import pytest
 from fastmimic.base.configuration import (
     changed,
     check,
-    describe,
     documented,
     pack,
     parameter,
@@ -19,6 +20,8 @@ from fastmimic.base.configuration import (
 )
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import record_dtype
+
+DESCRIBE = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "hooks.py"))["describe"]
 
 
 @documented
@@ -89,7 +92,7 @@ def test_a_whole_number_is_nothing_else(value: Any) -> None:
 
 def test_documentation_follows_from_the_fields() -> None:
     assert "stiffness: of the position error, N·m/rad." in str(Gains.__doc__)
-    rows = {row[0]: row[1:] for row in describe(Gains)}
+    rows = {row[0]: row[1:] for row in DESCRIBE(Gains)}
     assert rows["stiffness"] == ("30", "N·m/rad", "> 0", "of the position error")
     assert rows["offset"][:3] == ("0, 0.5", "m", "")
     assert rows["steps"][2] == "[1, 5]"

@@ -6,8 +6,8 @@
         min_switch_time: float = parameter(0.1, unit="s", about="least time between two switches of a leg")
 
 The metadata give the checks (`check`), the kernels' records (`record_fields`, `pack`), values read from files and the
-command line (`changed`), the class's docstring (`documented`) and tables (`describe`). Those of a long class may stand
-in its room's `parameters.json` (`tabulated`).
+command line (`changed`), the class's docstring (`documented`) and the documentation's tables. Those of a long class may
+stand in its room's `parameters.json` (`tabulated`).
 """
 
 import dataclasses
@@ -170,16 +170,6 @@ def _like(present: Any, value: Any, where: str) -> Any:
     if type(value) is not type(present):
         raise ConfigError(f"{where} must be of the kind of {present!r}, not {value!r}")
     return value
-
-
-def describe(kind: type) -> list[tuple[str, str, str, str, str]]:
-    """Rows of a table: name, default, unit, range and meaning of each parameter."""
-    rows = []
-    for name, (known, default) in parameters(kind).items():
-        shown = ", ".join(f"{v:g}" for v in default) if isinstance(default, tuple) else default
-        text = f"{shown:g}" if isinstance(shown, float) else str(shown)
-        rows.append((name, text, known.unit, known.range() if not isinstance(default, bool) else "", known.about))
-    return rows
 
 
 def documented(kind: type[_Kind]) -> type[_Kind]:
