@@ -15,12 +15,12 @@ from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout, run_log
-from fastmimic.episode.run_log import RunLog
 from fastmimic.experiments.compare import PAPER_MOTIONS
 from fastmimic.experiments.transfer import STAGES, trial_starts
 from fastmimic.identification.identify import Identification, identify
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.state import RunLog
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions, Disturbance
 

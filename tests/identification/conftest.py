@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import leg_torques
 from fastmimic.robot.kinematics import foot_jacobians
-from fastmimic.robot.state import COMMAND, OBSERVATION, READING
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING, RunLog
 
 STEPS, RATE = 1000, 500.0
 SPEED = 0.4  # m/s

@@ -9,12 +9,11 @@ import pytest
 
 from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig, read_config
-from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import ground_forces
 from fastmimic.identification.identify import FRICTION_MARGIN, Friction, identify
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.robot import Robot, load_robot
-from fastmimic.robot.state import OBSERVATION
+from fastmimic.robot.state import OBSERVATION, RunLog
 from fastmimic.simulation.conditions import Conditions, Disturbance
 from identification.conftest import MakeLog
 

@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_json
 from fastmimic.deploy.log_file import LogFile, read_log_file
-from fastmimic.episode.run_log import RunLog
 from fastmimic.motion.motion import Motion
-from fastmimic.robot.state import COMMAND, OBSERVATION, READING
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING, RunLog
 from fastmimic.runs.work_folder import MOTION, created
 
 ENDING: Final = ".mcap"

@@ -10,8 +10,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.episode.observer import EstimationErrors
 from fastmimic.episode.reward import REWARD_TERMS, Counted, reward_weights
-from fastmimic.episode.run_log import RunLog
 from fastmimic.episode.tracking_errors import tracking_errors
+from fastmimic.robot.state import RunLog
 from fastmimic.simulation.terrain import Terrain
 
 

@@ -16,11 +16,10 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
 from fastmimic.base.rotations import matrix_from_quat
-from fastmimic.episode.run_log import RunLog
 from fastmimic.robot import Robot
 from fastmimic.robot.dynamics import inverse_dynamics, leg_torques
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
-from fastmimic.robot.state import commanded_torque
+from fastmimic.robot.state import RunLog, commanded_torque
 
 SMOOTHING_S: Final = 0.03  # window of the smoothing quadratic: short against a stance, long against the noise
 LEAST_S: Final = 1.0  # shortest usable log

@@ -20,9 +20,9 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
 from fastmimic.base.files import write_json
 from fastmimic.control.config import FILE_FORMAT, ControllerConfig, controller_config
-from fastmimic.episode.run_log import RunLog
 from fastmimic.identification.forces import GroundForces, ground_forces
 from fastmimic.robot import Robot
+from fastmimic.robot.state import RunLog
 
 FRICTION_MARGIN: Final = 0.85
 """Share of the identified coefficient that the controller assumes: its friction pyramid's corners reach 1.08 times as

@@ -14,10 +14,10 @@ from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import Metrics
 from fastmimic.episode.plan import default_duration, perturbed_start, start_room
 from fastmimic.episode.rollout import Rollout, run_log
-from fastmimic.episode.run_log import RunLog
 from fastmimic.imitation.methods import RL, check_controller, controller_for
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.state import RunLog
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 

@@ -25,7 +25,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import kernel
-from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE, checked_samples, product, solve_banded
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RIDGE, Terms, checked_samples, product, solve_banded
 
 MAX_S: Final = 600.0  # longest motion; a search runs all of it for each candidate
 MAX_TAU_S: Final = 1.0
@@ -38,16 +38,6 @@ _SETTLED: Final = 35.0  # times 1/c, after which a response has decayed to 1e-14
 _STEPS_PER_FUNCTION: Final = 2  # least number of integration steps
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
 _NODE_WEIGHTS: Final = np.array([5.0, 8.0, 5.0]) / 18.0  # Gauss–Legendre on [0, 1]
-
-
-class DiscreteTerms(NamedTuple):
-    """A discrete primitive at t samples: y = rest + pull g + a shape. `rest` (t, d) is the response to the start and
-    its velocity, relative to 0; `pull` (t, 1) that of the spring to the goal, 0 at the start, about 1 at the end;
-    `shape` (t, d) that to the forcing at a = 1."""
-
-    rest: Array
-    pull: Array
-    shape: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +116,12 @@ class DiscreteDmp:
         gap = self.centres[:-1] - self.centres[1:]
         return 0.5 * np.append(gap, gap[-1]) ** -2.0
 
-    def course(self, n_samples: int) -> DiscreteTerms:
-        """The terms at `n_samples` (at least 2) evenly spaced times from start to end."""
+    def course(self, n_samples: int) -> Terms:
+        """The terms at `n_samples` (at least 2) evenly spaced times from start to end: `pull` is 0 at the start, about
+        1 at the end."""
         rest, pull = self._unforced(n_samples)
         weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
-        return DiscreteTerms(rest, pull, _course(self, weights, n_samples))
+        return Terms(rest, pull, _course(self, weights, n_samples))
 
     def _unforced(self, n_samples: int) -> tuple[Array, Array]:
         """`rest` (t, d) and `pull` (t, 1) of the critically damped spring."""

@@ -28,8 +28,8 @@ from fastmimic.base.rotations import (
 )
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import DmpRecord
-from fastmimic.primitive.discrete import DiscreteDmp, DiscreteTerms
-from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RhythmicDmp
+from fastmimic.primitive.discrete import DiscreteDmp
+from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RhythmicDmp, Terms
 from fastmimic.robot.kinematics import leg_forward, leg_inverse
 from fastmimic.robot.robot import Robot
 
@@ -238,10 +238,10 @@ class MotionDmp:
         primitive: RhythmicDmp | DiscreteDmp
         if motion.cycle is not None:
             primitive = RhythmicDmp.fit(samples, motion.period_s, n_basis)
-            error = primitive.position(phases(motion.n_samples)) - samples
         else:
             primitive = DiscreteDmp.fit(samples, motion.period_s - motion.dt, n_basis)
-            error = primitive.position(motion.n_samples) - samples
+        rest, pull, shape = primitive.course(motion.n_samples)
+        error = rest + pull * primitive.goal + shape - samples
         rms = {name: float(np.sqrt(np.mean(error[:, group] ** 2))) for name, group in GROUPS.items()}
         return cls(motion, robot, primitive, twist, rms)
 
@@ -306,17 +306,12 @@ class MotionDmp:
 
     def _course(self, goal: Array, amplitude: Array, dimensions: slice = slice(None)) -> Array:
         """Dimensions (..., t, d) of the path, modulated by (..., 1 or t, d)."""
-        if isinstance(self._linear, DiscreteTerms):
-            rest, pull, shape = self._linear
-            return rest[:, dimensions] + pull * goal + amplitude * shape[:, dimensions]
-        return goal + amplitude * self._linear[:, dimensions]
+        rest, pull, shape = self._terms
+        return rest[:, dimensions] + pull * goal + amplitude * shape[:, dimensions]
 
     @cached_property
-    def _linear(self) -> Array | DiscreteTerms:
-        """The responses in which the samples are linear; s (t, 24) for a cycle."""
-        if isinstance(self.primitive, DiscreteDmp):
-            return self.primitive.course(self.fitted.n_samples)
-        return self.primitive.shape(phases(self.fitted.n_samples))
+    def _terms(self) -> Terms:
+        return self.primitive.course(self.fitted.n_samples)
 
     def _record(self, goal: Array, amplitude: Array, table: FootTable) -> DmpRecord:
         return DmpRecord(

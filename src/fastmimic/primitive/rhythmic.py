@@ -14,7 +14,7 @@ change the last bits of a fit, the results of a seed, and the match between a ru
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,15 @@ ALPHA: Final = 25.0  # stiffness α, per radian of phase, as in Ijspeert et al. 
 RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
 _FLOOR: Final = 0.2  # share of the basis functions that is spread evenly
 _SAMPLES_PER_FUNCTION: Final = 4  # least number of samples between two functions
+
+
+class Terms(NamedTuple):
+    """A primitive at t samples: y = rest + pull g + a shape. `rest` (t or 1, d) is the response to the start and its
+    velocity, relative to 0; `pull` (t or 1, 1) that to the baseline or goal; `shape` (t, d) to the forcing at a = 1."""
+
+    rest: Array
+    pull: Array
+    shape: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +90,11 @@ class RhythmicDmp:
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
         return _series(phase, self._harmonics)
+
+    def course(self, n_samples: int) -> Terms:
+        """The terms at `n_samples` evenly spaced phases of a cycle."""
+        shape = self.shape(2 * np.pi * np.arange(n_samples) / n_samples)
+        return Terms(np.zeros((1, len(self.goal))), np.ones((1, 1)), shape)
 
     def position(self, phase: Array | float, goal: Array | None = None, amplitude: Array | float = 1.0) -> Array:
         """Limit cycle y = g + a s(φ) at phases (...) → (..., d); `goal` and `amplitude` (d,) modulate it."""

@@ -62,23 +62,20 @@ class Retargeting:
         self.lowered = 0.0 if self.own_body else config.crouch_m * scale / DOG_SCALE
         self.periodic, self.cycle_reason = whether_cycle(self.clip, self.source, cycle, self.config)
 
-    def align_heading(self) -> None:
-        """Turns the trunk into the direction of travel if the gait is straight."""
-        self.straight, self.aligned = False, 0.0
-        if not (self.periodic and self.config.consistent):
+    def prepare_source(self) -> None:
+        """Turns the trunk of a cycle into its direction of travel if the gait is straight; keeps a recording that does
+        not repeat as high as folded legs need, and lengthens it by its last pose if it ends standing."""
+        self.straight, self.aligned, self.held = False, 0.0, 0
+        if not self.config.consistent:
             return
-        angle = _travel_angle(self.source, self.config)
-        if angle is not None:
-            self.source, self.straight, self.aligned = self.source.turned(angle), True, angle
-
-    def fit_posture(self) -> None:
-        """Keeps a recording that does not repeat as high as folded legs need."""
-        if not self.periodic and self.config.consistent and not self.own_body:
+        if self.periodic:
+            angle = _travel_angle(self.source, self.config)
+            if angle is not None:
+                self.source, self.straight, self.aligned = self.source.turned(angle), True, angle
+            return
+        if not self.own_body:
             self.source = within_folded_legs(self.source, self.robot, self.lowered, self.config)
-
-    def hold_end(self) -> None:
-        """Lengthens a recording that ends standing by its last pose."""
-        self.held = 0 if self.periodic or not self.config.consistent else _held_frames(self.source, self.config)
+        self.held = _held_frames(self.source, self.config)
         if self.held:
             self.source = self.source.held(self.held)
             self.cycle_reason += f"; ends standing, and is held for {self.held / self.clip.rate_hz:.2g} s"

@@ -1,5 +1,7 @@
-"""Reading, observation, memory and command of a robot, as arrays that kernels, sensors and drivers share."""
+"""Reading, observation, memory and command of a robot, as arrays that kernels, sensors and drivers share; and the log
+of a run, which has only what a robot's computer knows of it."""
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -75,3 +77,22 @@ def pack_model(robot: Robot) -> NDArray[Any]:
     for name in MODEL.names or ():
         record[name] = given[name] if name in given else getattr(robot, name)
     return record
+
+
+@dataclass(frozen=True, eq=False)
+class RunLog:
+    """One run over t control steps, as the robot's computer saw it. There is no field for the truth."""
+
+    robot: str
+    motion: str
+    rate_hz: float  # control steps a second
+    latency_s: float  # age of the readings of IMU and joints on arrival
+    reading: NDArray[Any]  # (t,) of `READING`, the latest at the end of each step
+    command: NDArray[Any]  # (t,) of `COMMAND`, the motors' commands for the step
+    estimate: NDArray[Any]  # (t,) of `OBSERVATION`, the estimator's result
+    stance: NDArray[np.bool_]  # (t, 4) legs that the gait planner let stand in the step
+
+    @property
+    def duration_s(self) -> float:
+        """Length, s."""
+        return len(self.reading) / self.rate_hz
