@@ -88,15 +88,14 @@ def open_clip(
     gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}
     if name in motion_names() and point_map is not None:
         raise ClipError(f"a point map cannot be given for '{name}': its points are known")
+    if name not in GAITS:
+        _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
     if name in GAITS or name in JUMPS:
         read = {"frame rate": fps, "vertical axis": up, "travel": travel}
         _refuse(name, "it is generated, not read from a file", read)
-        if name in JUMPS:
-            _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
         clip = generate(name, **gait_options) if name in GAITS else jump(JUMPS[name], built_in(name))
         clip = _cut(name, clip if scale is None else with_scale(clip, scale), frames)
     else:
-        _refuse(name, f"only the built-in gaits can be varied ({', '.join(GAITS)})", gait_options)
         clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
     return clip if cycle is None else replace(clip, is_cycle=cycle)
 

@@ -111,8 +111,6 @@ def _solve_object(w: Any, n: int, m: int, ms: int) -> int:
 
 def _native_works() -> bool:
     """Solves min ½|x|² − (3, 1)·x subject to x₀ ≤ 1 and x₀ + x₁ ≤ 1.5; the solution is (1, 0.5)."""
-    if _library() is None:
-        return False
     workspace = make_workspace(2, 2)
     w = workspace[0]
     w["hessian"][:4] = (1, 0, 0, 1)
@@ -124,11 +122,10 @@ def _native_works() -> bool:
 
 
 def _choose_solver() -> Any:
-    if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
+    library = None if numba_config.DISABLE_JIT else _library()  # type: ignore[attr-defined]
+    if library is None:
         return _solve_object
-    library = _library()
-    if library is not None:
-        depends_on(_solve_native, library._name)  # kernels in the cache were made for this build's structs
+    depends_on(_solve_native, library._name)  # kernels in the cache were made for this build's structs
     return _solve_native if _native_works() else _solve_object
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from fastmimic.base.configuration import changed
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
@@ -51,9 +51,7 @@ class Method:
     def __post_init__(self) -> None:
         known = (NOTHING, *PARAMETER_GROUPS)
         if self.parameters not in known:
-            raise ConfigError(
-                f"method '{self.name}': unknown parameters '{self.parameters}'; there are {', '.join(known)}"
-            )
+            raise ConfigError(f"method '{self.name}': {unknown('parameters', self.parameters, known)}")
         if self.controller is not None and (self.optimises or self.learned):
             raise ConfigError(f"method '{self.name}' has a controller of its own, so it cannot optimise or be learned")
 

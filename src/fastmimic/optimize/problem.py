@@ -61,10 +61,7 @@ class Objective:
 
     def as_dict(self) -> dict[str, Any]:
         """The settings that determine scores; without `randomization` if None, so that digests stay the same."""
-        found = asdict(self)
-        if self.randomization is None:
-            del found["randomization"]
-        return found
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 class Problem(ABC):

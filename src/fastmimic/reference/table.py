@@ -150,8 +150,8 @@ def _difference(v: Array, dt: float, turn: float | None) -> Array:
 def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
     """Clocks of n robots at the start of the motion, (n,) of `CLOCK`."""
     clocks = np.zeros(n, CLOCK)
-    clocks["repeats"] = motion.cycle is not None
-    clocks["cycle_step"] = (0.0, 0.0, 0.0) if motion.cycle is None else motion.cycle
+    if motion.cycle is not None:
+        clocks["repeats"], clocks["cycle_step"] = 1, motion.cycle
     return clocks
 
 
@@ -185,15 +185,6 @@ def steps_due(clock: Any, n_samples: int, haste: float, table: Any) -> int:
             _hold(clock, _in_world(clock, here), _in_world(clock, there))
         return 0
     return 1
-
-
-@inlined
-def advance_in_place(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
-    """Advances by a sample more: the feet go on, the root stays where it is."""
-    before = _in_world(clock, table[clock.sample].root_pos)
-    advance_clock(clock, n_samples, x, y, table)
-    if table[clock.sample].sync == 0:
-        _hold(clock, _in_world(clock, table[clock.sample].root_pos), before)
 
 
 @inlined
@@ -270,8 +261,11 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> No
             _take_up(clock, table, int(-haste[i]) - 1, root_xy[i, 0], root_xy[i, 1])
         if due > 0:
             advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
-        if due > 1:
-            advance_in_place(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
+        if due > 1:  # by a sample more: the feet go on, the root stays where it is
+            before = _in_world(clock, table[clock.sample].root_pos)
+            advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
+            if table[clock.sample].sync == 0:
+                _hold(clock, _in_world(clock, table[clock.sample].root_pos), before)
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
