@@ -136,7 +136,7 @@ class TestSearch:
         assert len(longer.history.best) == done + 5
 
     def test_a_search_that_ended_by_itself_is_resumed_as_it_is(self, tmp_path: Path) -> None:
-        problem, file = Bowl(), tmp_path / FILE_NAME
+        problem, file = Bowl(), tmp_path / "checkpoint.npz"
         free = replace(SETTINGS, iterations=None, population=10)
         first = optimize(problem, free, checkpoint=file)  # type: ignore[arg-type]
         assert_same(first, optimize(problem, free, checkpoint=file, resume=True))  # type: ignore[arg-type]
