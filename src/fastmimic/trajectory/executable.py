@@ -31,6 +31,8 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"contact_m_per_s": 0.5, "clearance_share": 0.3, "friction": 0.5, "torque_share": 0.95},
 )
 """Margins that a problem without a solution gives up, in this order."""
+_SHORTER: Final = {"window_s": 2.0, "overlap_s": 0.7}
+"""Windows of a passage that still has none after the first: there is less at once to agree on."""
 _CHECKED_S: Final = 20.0
 _MOMENT_S: Final = 1e-4  # for rates of joint angles
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
@@ -158,8 +160,10 @@ def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | N
 
 def _within_limits(problem: Program, margins: dict[str, float], start: Array | None = None) -> Executable:
     """Of a problem with these margins, from a first guess (n,); those of `_RETRIES` are given up while it has no
-    solution."""
-    for given_up in ({}, *_RETRIES):
+    solution, a long passage's in shorter windows."""
+    long = not problem.modes.periodic and problem.motion.period_s > _SHORTER["window_s"]
+    tries = ({}, _RETRIES[0], *({**given_up, **_SHORTER} for given_up in _RETRIES)) if long else ({}, *_RETRIES)
+    for given_up in tries:
         changed = {**margins, **given_up}
         program = replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
         solution = program.solve(start)
