@@ -105,12 +105,17 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         motion: str | Path | Motion = "trot",
         robot: str | Robot = "a1",
         *,
+        duration_s: float = EPISODE_S,
+        perturbed: bool = True,
+        randomize: Sequence[str] = (),
+        config: PolicyConfig | None = None,
+        threads: int = 1,
         render_mode: str | None = None,
-        **options: Any,
     ) -> None:
-        """Arguments, also `options`, and errors as for `ImitationEnv`, and `threads`, 1 by default. Robots and grounds
-        of `randomize` are drawn at a seeded reset; the results do not depend on the number of threads."""
-        prepared = _prepared(num_envs, motion, robot, **options)
+        """Arguments and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a seeded reset;
+        the results do not depend on the number of `threads`."""
+        options = {"duration_s": duration_s, "perturbed": perturbed, "threads": threads}
+        prepared = _prepared(num_envs, motion, robot, config=config, randomize=randomize, **options)
         self._make, self.single_observation_space, self.single_action_space = prepared
         self.num_envs = num_envs
         self.render_mode = render_mode

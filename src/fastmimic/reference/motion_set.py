@@ -231,8 +231,9 @@ class LiveReference:
         """The present course and the next, if known; if `scored`, those of the demonstration."""
         armed = None if self._armed is None else self._armed[1]
         now, after = (self._entry, armed) if self._transition is None else (self._transition, self._following)
-        kind = "demonstration" if scored else "course"
-        return getattr(now, kind), None if after is None else getattr(after, kind)
+        if scored:
+            return now.demonstration, None if after is None else after.demonstration
+        return now.course, None if after is None else after.course
 
     def update(self) -> None:
         """Looks for a path to the goal, and starts it."""
