@@ -386,6 +386,7 @@ def test_results_of_something_else_are_one_line(compared: Path, capsys: pytest.C
         "reward\n1\n",
         csv_text(COLUMNS, ROWS).replace("0.9,", "O.9,"),
         csv_text(COLUMNS, ROWS).replace("mbc", "cbm"),
+        csv_text(COLUMNS, ROWS) + "," * len(COLUMNS) + "1\n",
     ):
         (compared / "results.csv").write_text(text)
         capsys.readouterr()

@@ -122,6 +122,8 @@ def read_rows(text: str) -> list[Row]:
     rows: list[Row] = []
     for line in csv.DictReader(text.splitlines()):
         row: Row = {}
+        if None in line:
+            raise ValueError(f"a line has more than the {len(line) - 1} cells of the header")
         for name in ("motion", "method", "variant", "seed", "reward_mean", *line):
             value = line[name]
             if name in _TEXT or name.endswith("_version"):
