@@ -207,7 +207,9 @@ def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
         tracks.append(AnimalTrack.of(clip, robot, result.motion, seconds, "the animal", result.motion.name))
     if animal is not None:
         as_it_is = run_episodes(robot, animal, duration_s=seconds, config=result.config, log=True)
-        tracks.append(track(as_it_is, "without: the animal's motion as it is", "mbc"))
+        method = method_named(result.method)
+        plain = "mbc" if method.learned or method.controller is not None else method.unoptimised.name
+        tracks.append(track(as_it_is, "without: the animal's motion as it is", plain))
     before = "not optimised" if result.motion.demonstration is None else "as its motions were optimised"
     title = "optimised" if result.history is not None else before
     return [*tracks, track(result.after, title if animal is None else f"with: executable, {title}", result.method)]
