@@ -47,8 +47,9 @@ class TestWriting:
             ("rough=nan", r"'rough' takes 0 m to 0.3 m"),
             ("rough=0.1@0.2", r"written name=level"),
             ("hills.npy=inf", r"terrain 'hills.npy' takes -1000 to 1000"),
-            ("hills.npy@0", r"terrain 'hills.npy@0': the distance of points after @ must be positive"),
-            ("hills.npy@x=2", r"terrain 'hills.npy@x': the distance of points after @ must be positive"),
+            ("hills.npy@0", r"terrain 'hills.npy@0': the distance of points after @ must be 0\.001 to 100"),
+            ("hills.npy@1e300", r"the distance of points after @ must be 0\.001 to 100"),
+            ("hills.npy@x=2", r"terrain 'hills.npy@x': the distance of points after @ must be 0\.001 to 100"),
         ],
     )
     def test_what_is_refused(self, text: str, said: str) -> None:
@@ -125,8 +126,12 @@ class TestGround:
             top = ground.height(np.array([-0.15, 0.15]), np.array([0.1, -0.1]))
             np.testing.assert_allclose(top, [0.0, 0.2], atol=1e-9)
         np.save(tmp_path / "flat.npy", np.zeros(4))
+        np.save(tmp_path / "high.npy", np.full((3, 4), -1e307))
+        np.save(tmp_path / "none.npy", np.full((3, 4), np.nan))
         for name, said in (
-            ("flat.npy", r"finite heights; found \(4,\)"),
+            ("flat.npy", r"rows and columns of heights; found \(4,\)"),
+            ("high.npy", r"in m and at most 1000; found 1e\+307"),
+            ("none.npy", r"in m and at most 1000; found nan"),
             ("no.npy", "cannot be read as a height field"),
         ):
             with pytest.raises(ConfigError, match=said):

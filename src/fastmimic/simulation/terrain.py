@@ -34,6 +34,7 @@ WAVE_M: Final = 1.0
 FILE_CELL_M: Final = 0.05
 FILES: Final = (".png", ".npy")
 MOST_POINTS: Final = 4_000_000  # of a file: a field of 100 m by 100 m
+MOST_HEIGHT_M: Final = 1e3  # of a file
 _ACROSS: Final = np.linspace(-FOOTPRINT_M, FOOTPRINT_M, 5)
 _UNDER: Final = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)  # points under a robot
 
@@ -172,8 +173,8 @@ def terrain_kind(name: str) -> TerrainKind:
         apart = float(cell or FILE_CELL_M)
     except ValueError:
         apart = 0.0
-    if not 0 < apart < math.inf:
-        raise ConfigError(f"terrain '{name}': the distance of points after @ must be positive, in m")
+    if not 1e-3 <= apart <= 100:
+        raise ConfigError(f"terrain '{name}': the distance of points after @ must be 0.001 to 100, in m")
     make = partial(_from_file, Path(file), apart)
     return TerrainKind(name, "", -1e3, 1e3, "factor of the file's heights", make=make, given="1")
 
@@ -198,8 +199,10 @@ def _read_heights(path: Path) -> Array:
             heights = np.asarray(found.convert("F"), dtype=np.float64)[::-1] / white
     except (*UNREADABLE, Image.DecompressionBombError) as error:
         raise ConfigError(f"{path}: cannot be read as a height field: {error}") from None
-    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():
-        raise ConfigError(f"{path}: a height field has rows and columns of finite heights; found {heights.shape}")
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        raise ConfigError(f"{path}: a height field has rows and columns of heights; found {heights.shape}")
+    if not (highest := np.abs(heights).max()) <= MOST_HEIGHT_M:
+        raise ConfigError(f"{path}: heights are in m and at most {MOST_HEIGHT_M:g}; found {highest:g}")
     return np.ascontiguousarray(heights)
 
 
