@@ -48,7 +48,8 @@ def test_the_plane_under_the_feet_is_found(robot: Robot, terrain: str, axis: int
 
 
 def test_a_robot_that_does_not_feel_a_slope_falls(robot: Robot) -> None:
-    assert walked(robot, "slope=12", blind()).scorer.tallies["fallen"].all()
+    assert walked(robot, "slope=14", blind()).scorer.tallies["fallen"].all()
+    assert not walked(robot, "slope=14", ControllerConfig()).scorer.tallies["fallen"].any()
 
 
 def test_a_lost_reading_is_not_felt(robot: Robot) -> None:

@@ -34,8 +34,8 @@ class Leg:
         self.memory["stance"][0, self.INDEX] = stance
         self.memory["since_switch"][0, self.INDEX] = 1e3
 
-    def step(self, wanted: bool, force: float) -> bool:
-        return plan_leg(self.config[0], self.memory[0], self.INDEX, wanted, force)
+    def step(self, wanted: bool, force: float, swung: float = 0.7) -> bool:
+        return plan_leg(self.config[0], self.memory[0], self.INDEX, wanted, 0.0 if wanted else swung, force)
 
     def run(self, duration: float, wanted: bool, force: float) -> int:
         """Number of lift-offs within a time."""
@@ -112,6 +112,15 @@ class TestEarlyTouchDown:
         leg.run(0.15, wanted=False, force=LOADED)
         assert leg.time_to_switch(wanted=False, force=FREE) == pytest.approx(0.04)
         assert not leg.stance
+
+    def test_in_the_first_half_of_a_swing_it_drags(self) -> None:
+        """A horse's feet rise slowly; one that stood again would stay behind for the rest of the swing."""
+        leg = swinging_for(0.15)
+        leg.step(wanted=False, force=LOADED, swung=0.49)
+        assert not leg.stance
+        assert leg.early_touchdowns == 0
+        leg.step(wanted=False, force=LOADED, swung=0.5)
+        assert leg.stance
 
     def test_a_weak_touch_is_none(self) -> None:
         leg = swinging_for(0.15)

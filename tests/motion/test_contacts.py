@@ -14,6 +14,7 @@ from fastmimic.motion.contacts import (
     foot_activity,
     stances_of,
     swings_of,
+    swung,
 )
 from fastmimic.retargeting.contact_schedule import ContactScheduleConfig, make_consistent, with_steps
 
@@ -120,6 +121,17 @@ def test_a_stance_is_not_extended_beyond_the_reach_of_the_leg() -> None:
 def test_a_real_flight_stays() -> None:
     stances = [[Stance(0, 38)], [Stance(50, 88)], [Stance(50, 88)], [Stance(0, 38)]]
     assert consistent(stances, 100)[0] == stances
+
+
+def test_share_of_a_swing_that_is_over() -> None:
+    contact = np.ones((10, 4), dtype=bool)
+    contact[[8, 9, 0, 1], 0] = False  # over the seam
+    contact[2:7, 2] = False
+    cycle = swung(contact, periodic=True)
+    np.testing.assert_array_equal(cycle[[7, 8, 9, 0, 1, 2], 0], [0, 0, 0.25, 0.5, 0.75, 0])
+    np.testing.assert_array_equal(cycle[1:8, 2], [0, 0, 0.2, 0.4, 0.6, 0.8, 0])
+    assert not cycle[:, [1, 3]].any()
+    np.testing.assert_array_equal(swung(contact, periodic=False)[[8, 9, 0, 1], 0], [0, 0.5, 0, 0.5])
 
 
 def test_a_swing_too_short_for_a_motor_is_widened() -> None:

@@ -123,7 +123,7 @@ def control_step(
         estimate_disturbance(config, obs, memory, scratch)
         height_error = scratch.error[2]
         for leg in range(4):
-            if plan_leg(config, memory, leg, ref.contact[leg] == 1, obs.foot_force[leg, 2]):
+            if plan_leg(config, memory, leg, ref.contact[leg] == 1, ref.swung[leg], obs.foot_force[leg, 2]):
                 lift_off(config, ref, memory, scratch, leg, height_error)
         regulate(config, ref, gain, memory, scratch)
         planned = False

@@ -3,8 +3,8 @@
 
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
 schedule says so (take-off), or when it has been unloaded for a while in scheduled stance (early take-off). It enters
-stance when the schedule says so (touch-down), or when it meets the ground in scheduled swing (early touch-down). Two
-switches of a leg are at least `min_switch_time` apart.
+stance when the schedule says so (touch-down), or when it meets the ground in the second half of a scheduled swing
+(early touch-down). Two switches of a leg are at least `min_switch_time` apart.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
@@ -21,6 +21,7 @@ from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32
 _SIDES = np.array([[-1, 0], [1, 0], [0, -1], [0, 1], *(np.sqrt(0.5) * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]))])
+EARLY_FROM = 0.5  # of a swing: a foot that meets the ground before has not left it, or drags
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
 
 
@@ -32,9 +33,10 @@ def begin_legs(memory: NDArray[Any], tables: NDArray[Any], sample: NDArray[np.in
 
 
 @inlined
-def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -> bool:
-    """Advances one leg by one control step; True if it has just lifted off. `wanted` is the scheduled stance, `force_z`
-    the measured vertical ground force in N; `memory` is changed."""
+def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, force_z: float) -> bool:
+    """Advances one leg by one control step; True if it has just lifted off. `wanted` is the scheduled stance,
+    `swung` the share of the scheduled swing that is over, `force_z` the measured vertical ground force in N; `memory`
+    is changed."""
     loaded = force_z > config.contact_threshold
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold
@@ -59,7 +61,7 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, force_z: float) -
         if leave and may_switch:
             _switch(memory, leg, 0)
             return True
-    elif may_switch and (wanted or loaded):
+    elif may_switch and (wanted or (loaded and swung >= EARLY_FROM)):
         if not wanted:
             memory.early[leg] = 1
             memory.early_touchdowns += 1

@@ -225,9 +225,10 @@ def plan_legs(config: Any, tables: Any, clocks: Any, observations: Any, memories
     """Runs the gait planner of all robots, so that leg states and early touch-downs mean the same as under the
     model-based controller; a policy does not need it."""
     for i in range(observations.shape[0]):
-        contact = tables[min(i, tables.shape[0] - 1)][clocks[i].sample].contact
+        ref = tables[min(i, tables.shape[0] - 1)][clocks[i].sample]
         for leg in range(4):
-            plan_leg(config[0], memories[i], leg, contact[leg] == 1, observations[i].foot_force[leg, 2])
+            force_z = observations[i].foot_force[leg, 2]
+            plan_leg(config[0], memories[i], leg, ref.contact[leg] == 1, ref.swung[leg], force_z)
 
 
 class PolicyController:

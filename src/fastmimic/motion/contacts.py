@@ -105,6 +105,15 @@ def swings_of(spans: list[Stance], n: int, periodic: bool) -> list[tuple[int, in
     return [swing for swing in swings if swing[1] > swing[0]]
 
 
+def swung(contact: NDArray[np.bool_], periodic: bool) -> Array:
+    """Share of each leg's swing that is over, of a motion with contact (n, legs): in [0, 1), and 0 in stance."""
+    share = np.zeros(contact.shape)
+    for leg, down in enumerate(contact.T):
+        for first, last in stances_of(~down, periodic):
+            share[np.arange(first, last) % len(down), leg] = np.arange(last - first) / (last - first)
+    return share
+
+
 def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> list[tuple[int, float]]:
     """Touch-down sample and greatest height, m, of each swing of one foot with contact (n,) and height (n,). Without
     `periodic`, a swing that the end cuts off does not count."""

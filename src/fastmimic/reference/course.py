@@ -30,7 +30,7 @@ from fastmimic.stitching.transition import Layout
 COURSE: Final = record_dtype(
     [
         *floats(step=2, turn=(), root_z=(), tilt=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
-        *floats(leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3)),
+        *floats(swung=4, leg_lin_acc=3, leg_ang_acc=3, foot=(4, 3)),
         ("contact", "i8", 4),
         *integers(sync=(), gain=()),
     ]
@@ -52,7 +52,7 @@ def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
         course[name] = turned_about_z(table[name], -yaw)
     course["foot"] = quat_rotate(course["tilt"][:, None], table["foot_pos"])
     course["foot"][..., 2] += course["root_z"][:, None]
-    course["contact"] = table["contact"]
+    course["contact"], course["swung"] = table["contact"], table["swung"]
     course["sync"], course["gain"] = table["sync"], table["gain"]
     return course
 
@@ -289,7 +289,7 @@ def _sample(
         out.leg_lin_acc[k] = b.leg_lin_acc[k] + u * (c.leg_lin_acc[k] - b.leg_lin_acc[k])
         out.leg_ang_acc[k] = b.leg_ang_acc[k] + u * (c.leg_ang_acc[k] - b.leg_ang_acc[k])
     out.gain = b.gain
-    out.contact = b.contact
+    out.contact, out.swung = b.contact, b.swung
     for k in range(3):
         if k != 1 and not neighbours:
             continue

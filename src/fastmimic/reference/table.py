@@ -27,6 +27,7 @@ from fastmimic.base.rotations import (
     turned_about_z,
     yaw_from_quat,
 )
+from fastmimic.motion.contacts import swung
 from fastmimic.motion.ground import ground_demand
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
@@ -38,11 +39,12 @@ SAMPLE: Final = record_dtype(
         *floats(root_pos=3, root_quat=4, lin_vel=3, ang_vel=3, lin_acc=3, ang_acc=3),
         *floats(joint_pos=12, joint_vel=12, joint_acc=12, foot_pos=(4, 3)),
         ("contact", "i8", 4),
-        *floats(leg_lin_acc=3, leg_ang_acc=3),
+        *floats(swung=4, leg_lin_acc=3, leg_ang_acc=3),
         *integers(sync=(), gain=()),
     ]
 )
-"""One sample of a reference, in the heading frame of the period's first sample. `leg_lin_acc` and `leg_ang_acc` are the
+"""One sample of a reference, in the heading frame of the period's first sample. `swung` is the share of a leg's
+swing that is over. `leg_lin_acc` and `leg_ang_acc` are the
 accelerations that the ground must give beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle
 starts; `gain` is the row of the regulator's gains, one for each `GAIN_SAMPLES` samples."""
 
@@ -74,7 +76,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
     table["joint_vel"] = motion.joint_vel
     table["joint_acc"] = _difference(motion.joint_vel, dt, 0.0 if periodic else None)
     table["foot_pos"] = motion.foot_pos_b
-    table["contact"] = motion.contact
+    table["contact"], table["swung"] = motion.contact, swung(motion.contact, periodic)
     if motion.demonstration is not None:
         # of the demonstration: a modulation moves the feet little, and search and saved motion must agree
         demonstration = reference_table(motion.demonstration, robot)

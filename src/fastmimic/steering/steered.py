@@ -344,4 +344,5 @@ def _sample(mixture: Any, contact: Any, s: Any, out: Any) -> None:
     out.ang_acc[2] += s.rate[2]
     for leg in range(4):
         out.contact[leg] = 1 if s.stands > 0.0 else contact[leg]
+        out.swung[leg] = 0.0 if out.contact[leg] == 1 else min(s.since[leg] / s.lasts[leg], 1.0)
         copy(s.feet[leg], out.foot_pos[leg])
