@@ -59,6 +59,23 @@ def test_the_whole_keeps_every_limit_and_is_near_that_of_one_piece(a1: Robot, pa
     assert np.sqrt(np.mean((whole.joint_pos[:n] - parts.joint_pos[:n]) ** 2)) < 0.05
 
 
+def test_a_passage_is_tried_again_from_the_window_before_the_one_without_a_solution(a1: Robot, passage: Motion) -> None:
+    """What is solved stays as it is, and the rest keeps the other margins."""
+    solved = Program(a1, passage, SHORT).solve()
+    assert solved.so_far is not None
+    windows = windows_of(Program(a1, passage, SHORT).modes, Program(a1, passage, SHORT).animal_steps, SHORT)
+    assert solved.first == windows[-2].nodes[0] > 0
+    program = Program(a1, passage, replace(SHORT, contact_m_per_s=0.5))
+    again = program.solve(solved.so_far, solved.first)
+    assert again.converged
+    assert again.iterations < solved.iterations
+    np.testing.assert_array_equal(again.coordinates[: solved.first + 1], solved.coordinates[: solved.first + 1])
+    assert np.abs(again.coordinates[solved.first + 1 :] - solved.coordinates[solved.first + 1 :]).max() > 1e-4
+    low, high = program.bounds_of_rows()
+    rows = program.rows(again.variables)
+    assert np.nanmax(np.maximum(low - rows, rows - high)) < 1e-4
+
+
 def test_a_passage_with_which_the_robot_falls_goes_on_from_what_was_found(a1: Robot, passage: Motion) -> None:
     """What helped stays, and the solver takes fewer iterations than from the animal's motion."""
     shares = iter([0.5, 0.25, 0.0])

@@ -159,16 +159,20 @@ def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | N
 
 
 def _within_limits(problem: Program, margins: dict[str, float], start: Array | None = None) -> Executable:
-    """Of a problem with these margins, from a first guess (n,); those of `_RETRIES` are given up while it has no
-    solution, a long passage's in shorter windows."""
+    """Of a problem with these margins; those of `_RETRIES` are given up while it has no solution, a long passage's in
+    shorter windows and from the window before the one that had none: what keeps the margins keeps fewer of them, too.
+    With a first guess (n,), which is a solution with other margins, none is given up."""
     long = not problem.modes.periodic and problem.motion.period_s > _SHORTER["window_s"]
-    tries = ({}, _RETRIES[0], *({**given_up, **_SHORTER} for given_up in _RETRIES)) if long else ({}, *_RETRIES)
-    for given_up in tries:
+    retries = () if start is not None else _RETRIES
+    first = 0
+    for given_up in ({}, *({**given_up, **_SHORTER} if long else given_up for given_up in retries)):
         changed = {**margins, **given_up}
         program = replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
-        solution = program.solve(start)
+        solution = program.solve(start, first)
         if solution.converged:
             return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
+        if solution.so_far is not None:
+            start, first = solution.so_far, solution.first
     raise MotionError(
         f"no motion of {program.robot.name} near '{program.motion.name}' keeps the limits: {_worst(program, solution)}"
         f" ({solution.status} after {solution.iterations} iterations)"

@@ -15,9 +15,9 @@ from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import N_ROWS, N_VARIABLES, NodeFunctions
 from fastmimic.trajectory.tape import on_nodes
 
-_DIVERGED: Final = 1e7
+_DIVERGED: Final = 1e9
 """Where the multipliers of the constraints grow without bound, no solution is near, and the solver would go on for
-minutes. With a solution the greatest was below 2000 for cycles, and up to 6e6 on the way to it for passages."""
+minutes. With a solution the greatest was below 2000 for cycles, and up to 2e7 on the way to it for passages."""
 
 
 def make_solver(

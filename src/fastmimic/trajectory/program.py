@@ -64,6 +64,8 @@ class Solution:
         holds: (H, 2) footholds.
         converged, status: whether the solver's tolerances were met, and IPOPT's words.
         tried: the last node of those that were tried: a window without a solution is the last one.
+        so_far: variables that are a solution up to the last window, and what it began from; None if there is one piece.
+        first: node of the window before that one, from which to try again.
         iterations: of the solver.
         violation: largest violation of a scaled constraint.
         use: of each limit its greatest use, share of the robot's own, and the share of the time at it (`LIMITS`).
@@ -80,6 +82,8 @@ class Solution:
     converged: bool
     status: str
     tried: int
+    so_far: Array | None
+    first: int
     iterations: int
     violation: float
     use: dict[str, tuple[float, float]]
@@ -317,9 +321,9 @@ class Program:
         """(N, 18) of the animal's motion at the nodes."""
         return np.hstack([self.animal[name] for name in ("position", "angles", "joints")])
 
-    def solve(self, start: Array | None = None) -> Solution:
-        """Solves the problem from a first guess (n,), by default `start()`."""
-        found = answered(self, self.start() if start is None else start)
+    def solve(self, start: Array | None = None, first: int = 0) -> Solution:
+        """Solves the problem from a first guess (n,), by default `start()`; before node `first` it is a solution."""
+        found = answered(self, self.start() if start is None else start, first)
         w = found["variables"]
         modes, at = self.modes, self.at
         durations = w[at["durations"] : at["holds"]]
@@ -335,6 +339,8 @@ class Program:
             converged=bool(found["converged"]),
             status=str(found["status"]),
             tried=int(found.get("tried", n - 1)),
+            so_far=found.get("so_far"),
+            first=int(found.get("first", 0)),
             iterations=int(found["iterations"]),
             violation=float(found["violation"]),
             use=dict(zip(LIMITS, map(tuple, found["use"].tolist()), strict=True)),

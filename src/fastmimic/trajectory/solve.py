@@ -21,17 +21,19 @@ LIMITS: Final = ("torque", "torque at speed", "joint speed", "friction")
 _AT_LIMIT: Final = 1e-3
 
 
-def answered(problem: "Program", start: Array) -> dict[str, Array]:
-    """The solver's answer: in one piece, or in windows if the motion does not repeat and is long."""
+def answered(problem: "Program", start: Array, first: int = 0) -> dict[str, Array]:
+    """The solver's answer: in one piece, or in windows if the motion does not repeat and is long. Before node `first`
+    the start is a solution already."""
     everything = np.arange(problem.modes.n_nodes)
-    windows = windows_of(problem.modes, problem.animal_steps, problem.config)
-    if len(windows) == 1:
+    windows = windows_of(problem.modes, problem.animal_steps, problem.config, first)
+    if len(windows) == 1 and first == 0:
         return _answer(problem, everything, start, problem.bounds_of_variables(), problem.bounds_of_rows())
     w, answers = start.copy(), list[dict[str, Array]]()
     for window in windows:
         if answers:
             _LOG.info("%s: %.0f of %.0f s are executable", problem.motion.name, window.begins_s, windows[-1].ends_s)
         bounds, rows = window.held(problem, w)
+        so_far = w.copy()
         answers.append(_answer(problem, window.nodes, w, bounds, rows))
         w[np.unique(problem.index[window.nodes])] = answers[-1]["variables"]
         if not answers[-1]["converged"]:
@@ -40,6 +42,8 @@ def answered(problem: "Program", start: Array) -> dict[str, Array]:
         **answers[-1],
         "variables": w,
         "tried": np.array(window.nodes[-1]),
+        "so_far": so_far,
+        "first": np.array(windows[max(len(answers) - 2, 0)].nodes[0]),
         "use": _use(problem, w),
         "cost": np.sum([answer["cost"] for answer in answers]),
         "iterations": np.sum([answer["iterations"] for answer in answers]),

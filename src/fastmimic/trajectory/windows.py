@@ -49,11 +49,11 @@ class Window:
         return (low, high), (least, most)
 
 
-def windows_of(modes: ContactModes, step_s: Array, config: TrajectoryConfig) -> list[Window]:
-    """Windows of `window_s`, each of which begins `overlap_s` before the end of the one before; one for a cycle, or
-    where the rest is not much longer. `step_s` (N,) are the intervals after the nodes."""
+def windows_of(modes: ContactModes, step_s: Array, config: TrajectoryConfig, first: int = 0) -> list[Window]:
+    """Windows of `window_s` from node `first` on, each of which begins `overlap_s` before the end of the one before;
+    one for a cycle, or where the rest is not much longer. `step_s` (N,) are the intervals after the nodes."""
     time, n = np.cumsum(step_s) - step_s, modes.n_nodes
-    found, first = list[Window](), 0
+    found = list[Window]()
     while True:
         end = int(np.searchsorted(time, time[first] + config.window_s))
         if modes.periodic or time[-1] - time[min(end, n - 1)] < config.overlap_s:
