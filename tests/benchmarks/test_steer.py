@@ -14,14 +14,9 @@ from fastmimic.play.page import Pacer
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.steering.commands import CommandSocket
-from fastmimic.steering.gait_field import GaitField, Grid, gait_field
+from fastmimic.steering.gait_field import GaitField
 
 SCRIPT = [Command(0.0, (0.0, 0.0, 0.0)), Command(1.0, (0.6, 0.0, 0.0)), Command(4.0, (0.3, 0.15, 0.8))]
-
-
-@pytest.fixture(scope="module")
-def gaits() -> GaitField:
-    return gait_field("a1", grid=Grid((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0)))
 
 
 @pytest.mark.parametrize("observe", ["truth", "sensors"])

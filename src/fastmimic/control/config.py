@@ -48,6 +48,7 @@ class GaitConfig:
     release_threshold: float = 0.02
     min_switch_time: float = 0.1
     early_takeoff_time: float = 0.04
+    early_touchdown_from: float = 0.5
     step_reach: tuple[float, float] = (0.3, 0.15)
     least_step_time: float = 0.05
     most_haste: float = 0.5
@@ -250,6 +251,7 @@ def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     # other forces and footholds have no urgency
     regulated = config.stance.feedback == "regulator" and config.swing.foothold == "regulator"
     record["recovery_steps"] *= regulated and config.stance.forces == "instant"
+    record["early_touchdown_from"] *= config.swing.foothold != "raibert"  # its swings have a time of their own
     record["dt"] = 1.0 / config.rate_hz
     record["horizon_interval"] = round(config.rate_hz / config.horizon.solve_rate_hz)
     return record

@@ -3,7 +3,7 @@
 
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
 schedule says so (take-off), or when it has been unloaded for a while in scheduled stance (early take-off). It enters
-stance when the schedule says so (touch-down), or when it meets the ground in the second half of a scheduled swing
+stance when the schedule says so (touch-down), or when it meets the ground late in a scheduled swing
 (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
@@ -21,7 +21,6 @@ from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32
 _SIDES = np.array([[-1, 0], [1, 0], [0, -1], [0, 1], *(np.sqrt(0.5) * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]))])
-EARLY_FROM = 0.5  # of a swing: a foot that meets the ground before has not left it, or drags
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
 
 
@@ -61,7 +60,7 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
         if leave and may_switch:
             _switch(memory, leg, 0)
             return True
-    elif may_switch and (wanted or (loaded and swung >= EARLY_FROM)):
+    elif may_switch and (wanted or (loaded and swung >= config.early_touchdown_from)):
         if not wanted:
             memory.early[leg] = 1
             memory.early_touchdowns += 1
