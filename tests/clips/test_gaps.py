@@ -152,6 +152,10 @@ def test_a_point_that_is_never_there_is_named() -> None:
         points[first : first + 30, TOE] = np.nan
     with pytest.raises(ClipError, match=r"no 0\.6 s without a gap of more than 0\.2 s: FR_toe"):
         mend(points, RATE)
+    points[:, TOE] = np.nan
+    points[10:12, TOE] = [[0.0] * 3, [9.0] * 3]  # of which one is astray
+    with pytest.raises(ClipError, match=r"no 0\.6 s without a gap of more than 0\.2 s: FR_toe"):
+        mend(points, RATE)
 
 
 def test_a_word_is_no_gap_and_neither_is_a_frame_without_time(tmp_path: Path) -> None:

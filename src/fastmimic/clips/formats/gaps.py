@@ -133,7 +133,8 @@ def _filled(path: Array, absent: NDArray[np.bool_], filled: NDArray[np.bool_]) -
 
     path = np.where(absent[:, None], np.nan, path)
     known = np.flatnonzero(~absent)
-    path[filled] = PchipInterpolator(known, path[known])(np.flatnonzero(filled))
+    if filled.any():  # a curve takes two frames; a short gap has one on each side
+        path[filled] = PchipInterpolator(known, path[known])(np.flatnonzero(filled))
     return path
 
 
