@@ -84,4 +84,16 @@ def test_json_of_more_than_python_reads_is_a_value_error(tmp_path: Path) -> None
     (tmp_path / "deep.json").write_text("[" * 100_000)
     with pytest.raises(ConfigError, match=r"deep\.json: cannot be read \(its brackets nest too deeply\)"):
         read_json(tmp_path / "deep.json")
-    assert from_json(json.dumps({"a": 10**17, "b": 10**400})) == {"a": 10**17, "b": float("inf")}
+    assert from_json(json.dumps({"a": 10**17, "b": 10**30})) == {"a": 10**17, "b": 1e30}
+
+
+@pytest.mark.parametrize("text", ["NaN", "-Infinity", "1e999", "9" * 400])
+def test_json_without_a_number_is_a_value_error(text: str) -> None:
+    with pytest.raises(ValueError, match=f"{text[:20]} is no finite number"):
+        from_json(f'{{"a": [{text}]}}')
+
+
+def test_json_with_half_a_character_is_a_value_error() -> None:
+    assert from_json(r'"\ud83d\ude00"') == "\U0001f600"
+    with pytest.raises(ValueError, match="surrogates not allowed"):
+        from_json(r'{"a": ["\ud83d"]}')

@@ -73,15 +73,18 @@ def a1(folder: Path, *added: str, times: int = 1) -> str:
 
 CONFIG = json.dumps({**FILE_FORMAT, "base": []})
 HUGE = json.dumps({**FILE_FORMAT, "stance": {"friction": 10**400}})
+FAR = np.full((5, 4, 3), 1e16)
 GEOM = '<geom size=".01"/>'
 FACTS = dict.fromkeys(("robot", "motion", "driver", "method", "foot_force"), "x") | {"config": {}, "latency_s": 0.0}
 FILES: dict[str, tuple[Callable[[Path], str], str, str]] = {
-    "limits": (text("l.toml", "qp_failures = nan"), "deploy stand --driver sim --limits", "'qp_failures' must be of"),
+    "limits": (text("l.toml", "qp_failures = nan"), "deploy stand --driver sim --limits", "NaN is no finite number"),
     "limits nested": (text("l.toml", "a = " + "[" * 3000), "deploy stand --driver sim --limits", "cannot be read as"),
     "limits too large": (text("l.toml", "tilt = " + "9" * 400), "deploy stand --driver sim --limits", "finite"),
     "base": (text("c.json", CONFIG), "evaluate trot --config", "unknown base '[]'; there are default, paper"),
-    "number": (text("c.json", HUGE), "evaluate trot --config", "friction must be finite, found inf"),
+    "number": (text("c.json", HUGE), "evaluate trot --config", "is no finite number"),
     "version": (lambda folder: motion(folder, format_version=np.str_("x")), "inspect", "format version x"),
+    "motion's feet": (lambda folder: motion(folder, foot_pos_b=FAR), "evaluate", "is not finite at sample 0, or"),
+    "motion's rate": (lambda folder: motion(folder, rate_hz=1e155), "inspect", "rate_hz must be in 1 to 10000, found"),
     "log without": (
         lambda folder: deployment(folder, {"rate_hz": 500.0}),
         "evaluate",

@@ -161,6 +161,13 @@ def test_a_damaged_table_names_line_and_point(tmp_path: Path) -> None:
         read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))
 
 
+def test_points_farther_than_any_animal_walks_are_refused() -> None:
+    points = walk(1)
+    points[5:8] = 1e155
+    with pytest.raises(ClipError, match="frame 5 holds a value that is not finite, or beyond 100000 m"):
+        Clip(points_w=points, rate_hz=RATE)
+
+
 @pytest.mark.parametrize("name", ["deeplabcut.h5", "mm.c3d", "linear.glb", "dog.npz"])
 def test_a_truncated_file_is_refused(name: str, tmp_path: Path) -> None:
     needs(name)

@@ -1,4 +1,4 @@
-"""The order of legs and joints, used everywhere (see the package docstring for the rest)."""
+"""The order of legs and joints, and the bounds of motions, used everywhere (see the package docstring for the rest)."""
 
 from typing import Final
 
@@ -8,3 +8,5 @@ JOINT_NAMES: Final = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS_
 LEFT: Final = (False, True, False, True)
 FRONT: Final = (True, True, False, False)
 GRAVITY: Final = 9.81
+LARGEST: Final = 1e5  # in m, rad and per second; a larger number in a motion means a damaged file
+RATE_RANGE_HZ: Final = (1.0, 10_000.0)  # of a motion

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.conventions import LEGS
+from fastmimic.base.conventions import LARGEST, LEGS
 from fastmimic.base.errors import ClipError
 from fastmimic.base.files import packaged
 
@@ -88,9 +88,9 @@ class Clip:
             raise ClipError(f"keypoints have shape {shape}; expected (frames, {len(POINT_NAMES)}, 3)")
         if shape[0] < 2:
             raise ClipError(f"a clip needs at least 2 frames, found {shape[0]}")
-        if not np.all(np.isfinite(self.points_w)):
-            frame = int(np.argwhere(~np.isfinite(self.points_w))[0][0])
-            raise ClipError(f"frame {frame} holds a value that is not finite")
+        if (wrong := ~(np.abs(self.points_w) <= LARGEST)).any():
+            frame = int(np.argwhere(wrong)[0][0])
+            raise ClipError(f"frame {frame} holds a value that is not finite, or beyond {LARGEST:g} m")
         if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ClipError(f"frame rate must be positive, found {self.rate_hz}")
         if self.root_quat_wxyz is not None and self.root_quat_wxyz.shape != (shape[0], 4):

@@ -156,7 +156,7 @@ class Policy:
             return cls._of(arrays)
         except KeyError as error:
             raise PolicyError(f"{path}: {error} is missing") from None
-        except (PolicyError, ConfigError, ValueError, TypeError) as error:
+        except (PolicyError, ConfigError, ValueError, TypeError, OverflowError) as error:
             raise PolicyError(f"{path}: {error}") from None
 
     @classmethod

@@ -8,6 +8,7 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
 from fastmimic.base.errors import ConfigError, FastMimicError, MotionError
 from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.rotations import quat_rotate
@@ -67,8 +68,8 @@ class Motion:
     animal: "Motion | None" = None
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise MotionError(f"rate_hz must be positive, found {self.rate_hz}")
+        if not RATE_RANGE_HZ[0] <= self.rate_hz <= RATE_RANGE_HZ[1]:
+            raise MotionError(f"rate_hz must be in {RATE_RANGE_HZ[0]:g} to {RATE_RANGE_HZ[1]:g}, found {self.rate_hz}")
         n = len(self.root_pos_w)
         if n < 2:
             raise MotionError(f"a motion needs at least 2 samples, found {n}")
@@ -77,9 +78,9 @@ class Motion:
             array: NDArray[Any] = np.array(getattr(self, name), dtype=dtype)
             if array.shape != (n, *tail):
                 raise MotionError(f"{name} has shape {array.shape}; expected {(n, *tail)}")
-            if not np.all(np.isfinite(array)):
-                sample = int(np.argwhere(~np.isfinite(array))[0][0])
-                raise MotionError(f"{name} is not finite at sample {sample}")
+            if (wrong := ~(np.abs(array) <= LARGEST)).any():
+                sample = int(np.argwhere(wrong)[0][0])
+                raise MotionError(f"{name} is not finite at sample {sample}, or beyond {LARGEST:g}")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         norm = np.linalg.norm(self.root_quat_wxyz, axis=1)

@@ -14,14 +14,14 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import JOINT_NAMES, LEGS
+from fastmimic.base.conventions import JOINT_NAMES, LARGEST, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.format import Content
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
-from fastmimic.clips.formats.text_table import LARGEST, Table, check_frames, check_rate, read_table, to_array
+from fastmimic.clips.formats.text_table import Table, check_frames, check_rate, read_table, to_array
 from fastmimic.robot.robot import Robot
 
 COLUMN_NAMES: Final = (*(f"root_{axis}" for axis in "xyz"), *(f"root_q{axis}" for axis in "xyzw"), *JOINT_NAMES)

@@ -19,12 +19,12 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import FRONT, JOINT_NAMES, LEFT
+from fastmimic.base.conventions import FRONT, JOINT_NAMES, LARGEST, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
-from fastmimic.clips.formats.text_table import LARGEST, check_frames, check_positive, check_rate
+from fastmimic.clips.formats.text_table import check_frames, check_positive, check_rate
 from fastmimic.robot.robot import ROBOT_NAMES, Robot, load_robot
 
 FRAME_NAMES: Final = (*(f"root {axis}" for axis in "xyz"), *(f"root quaternion {a}" for a in "xyzw"), *JOINT_NAMES)

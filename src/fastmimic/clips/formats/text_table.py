@@ -1,15 +1,13 @@
 """Tables of numbers as text: one frame a line, separated by commas, semicolons or white space."""
 
 from collections.abc import Callable, Collection, Sequence
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
 from fastmimic.base.errors import ClipError
-
-LARGEST: Final = 1e6  # in metres and radians; a larger number means a damaged file
-RATE_RANGE_HZ: Final = (1.0, 10_000.0)
 
 
 class Row(NamedTuple):
