@@ -97,6 +97,12 @@ class TestStress:
         assert "Unfinished" not in done.out
         assert "4/4 raibert, com-x" in done.err
 
+        sweep = out / "sweeps" / "mbc-payload.json"
+        sweep.write_text(sweep.read_text().replace('"value"', '"valeu"'))
+        damaged = run("stress", "trot", "--methods", "mbc", *SWEPT, *TINY, "--resume")
+        assert damaged.status == 2
+        assert "written (KeyError: 'value'); remove it, and --resume makes it anew\n" in damaged.err
+
     def test_a_folder_of_something_else_is_left_alone(self, run: Run, in_folder: Path) -> None:
         (in_folder / "table.md").write_text("mine")
         assert "holds table.md of something else" in run("stress", "trot", "--out", ".", "--overwrite").error

@@ -372,6 +372,31 @@ def test_a_comparison_draws_the_numbers_of_its_results(compared: Path) -> None:
     assert [url[:40] for url in found.urls if not url.startswith(("data:", "#"))] == []
 
 
+def test_numbers_that_are_not_finite_are_none(compared: Path) -> None:
+    """Also in a mean that overflows."""
+    texts = {"trot": ("inf", "1e308", "1e308"), "pace": ("nan",)}
+    rows = [{**row, "reward_mean": texts[row["motion"]][int(row["seed"])]} for row in ROWS if not row["variant"]]
+    rows[1]["reward_mean"] = "1e308"
+    (compared / "results.csv").write_text(csv_text(COLUMNS, rows))
+    with np.errstate(over="ignore"):
+        found = Parsed(make_report(compared).html)
+    nominal = {bar["name"]: bar for bar in found.plots["rewards-1"]["data"] if bar["type"] == "bar"}
+    assert nominal["MBC"]["y"] == []
+    assert nominal["MBC-DMP"]["y"] == [None]
+
+
+@pytest.mark.parametrize("change", [{"seed": None}, {"reward_mean": "x"}, {"reward_mean_perturbed": [1.0]}])
+def test_a_finished_run_with_other_values_is_one_line(
+    compared: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any]
+) -> None:
+    (compared / "results.csv").unlink()
+    write_json(compared / "runs" / "trot-mbc-seed0" / "row.json", ROWS[0] | change)
+    assert main(["report", str(compared)]) == 2
+    error = capsys.readouterr().err
+    assert "--resume makes it anew" in error
+    assert error.count("\n") == 1
+
+
 def test_a_comparison_that_is_not_finished_shows_what_there_is(compared: Path) -> None:
     (compared / "results.csv").unlink()
     write_json(compared / "runs" / "trot-mbc-seed0" / "row.json", ROWS[0])

@@ -25,7 +25,7 @@ from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES, Robot
-from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder
+from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder, of_finished
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 from fastmimic.simulation.terrain import TERRAINS
@@ -97,7 +97,8 @@ class Compare:
                 if folder.begun:
                     _leave(folder, prepared)
                 raise
-            write_comparison(folder, plan, prepared.finished())
+            with of_finished(self.out):
+                write_comparison(folder, plan, prepared.finished())
         put(*folder.read(TABLE, ABLATION_TABLE).splitlines(), f"results in {self.out}")
         return 0
 
@@ -122,8 +123,9 @@ def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     from fastmimic.report.experiment_figures import write_comparison
 
     try:
-        if rows := prepared.finished():
-            write_comparison(folder, prepared.plan, rows)
+        with of_finished(folder.path):
+            if rows := prepared.finished():
+                write_comparison(folder, prepared.plan, rows)
     except FastMimicError as error:  # the interruption or the run's failure is reported
         note(f"the tables could not be written: {error}")
     note(KEPT)
@@ -240,6 +242,7 @@ class ExperimentOptions:
     @contextmanager
     def writing(self, folder: WorkFolder, write: Callable[[], None]) -> Iterator[None]:
         """Writes the results after the block or a Ctrl-C in it, and prints the table."""
+        write = of_finished(folder.path)(write)
         try:
             yield
         except KeyboardInterrupt:

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+import msgspec
 import numpy as np
 
 from fastmimic.base.arrays import fingerprint
@@ -232,7 +233,7 @@ def finished_rows(out: Path) -> dict[str, Row]:
 
 
 def run_of(row: Row) -> Run:
-    return Run(row["motion"], row["method"], row["variant"], row["seed"])
+    return msgspec.convert(row, Run, strict=False)
 
 
 def _with_training(row: Row, policy: "Policy") -> Row:

@@ -10,7 +10,7 @@ from fastmimic.base.files import read_json
 from fastmimic.deploy.log import LOG
 from fastmimic.deploy.log import RESULT as DEPLOYMENT
 from fastmimic.experiments.comparison_run import POLICY
-from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS
+from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
 
 if TYPE_CHECKING:
     from fastmimic.report.html_page import HtmlReport
@@ -55,4 +55,5 @@ def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | No
     if kind == "run":
         return html_run.run_page(path, replay)
     pages = {"comparison": html_comparison.comparison_page, "results": html_comparison.results_page}
-    return pages.get(kind, html_deployment.deployment_page)(path)
+    with of_finished(path):
+        return pages.get(kind, html_deployment.deployment_page)(path)

@@ -1,6 +1,7 @@
 """The pages of a comparison, with the plots of its methods and ablations, and of other experiments."""
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -118,7 +119,7 @@ def _part(path: Path, figures: list[Figure], names: list[str], table: str, missi
 
 
 def read_rows(text: str) -> list[Row]:
-    """The rows of `results.csv`: text and numbers, None if empty; raises `ValueError` and `KeyError`."""
+    """The rows of `results.csv`: text and numbers, None if empty or not finite; raises `ValueError` and `KeyError`."""
     rows: list[Row] = []
     for line in csv.DictReader(text.splitlines()):
         row: Row = {}
@@ -129,7 +130,8 @@ def read_rows(text: str) -> list[Row]:
             if name in _TEXT or name.endswith("_version"):
                 row[name] = value
             else:
-                row[name] = float(value) if value else None
+                found = float(value or "nan")
+                row[name] = found if math.isfinite(found) else None
         rows.append(row)
     return rows
 
@@ -159,7 +161,7 @@ def rewards(found: Sequence[Summary]) -> Figure:
     title = "Reward of each method on each motion"
     if len(means) > 1 and len(leading) == 1:
         title += f": {leading[0]} is best, {best:.3f} on average"
-    elif len(means) > 1:
+    elif len(leading) > 1:
         title += f": {', '.join(leading[:-1])} and {leading[-1]} are within {_ALIKE:g}, {best:.3f} on average at best"
     return Figure(
         "rewards",

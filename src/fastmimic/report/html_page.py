@@ -24,7 +24,7 @@ from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.files import packaged, write_text
 from fastmimic.base.machine import optional
-from fastmimic.base.text import NONE
+from fastmimic.base.text import NONE, plain
 from fastmimic.imitation.methods import METHODS
 
 _HINTS: Final = packaged("fastmimic.report", "hints.json", dict[str, str])
@@ -267,7 +267,7 @@ def _asset(name: str) -> Markup:
 
 
 def _json(value: Any) -> Markup:
-    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(plain(value), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))  # no text can end the script element
 
 

@@ -211,6 +211,17 @@ def created(path: Path) -> Iterator[None]:
         os.close(handle)
 
 
+@contextmanager
+def of_finished(path: Path) -> Iterator[None]:
+    """Makes something of the finished parts in a folder; raises `OutputError` if they hold other values than they
+    should."""
+    try:
+        yield
+    except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
+        said = f"holds other values than were written ({type(error).__name__}: {error})"
+        raise OutputError(f"{path}: a finished part {said}; remove it, and --resume makes it anew") from error
+
+
 def _locked(path: Path) -> int:
     """Opens and locks a folder against other processes. The lock is the system's: it leaves no file behind, and ends
     with the process, even a killed one. Raises `OutputError` if another process has it."""
