@@ -6,6 +6,7 @@ import io
 import json
 import os
 import shutil
+import struct
 import sys
 import time
 import types
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from fuzz_files import NUMBERS, WORDS, Draw, chance, changed_file, changed_value, npy, pick
+from fuzz_files import NUMBERS, VALUES, WORDS, Draw, chance, changed_file, changed_numbers, changed_value, npy, pick
 from hypothesis import strategies as st
 
 from fastmimic.base.errors import FastMimicError
@@ -62,12 +63,12 @@ class Case:
         self.use(folder, draw)
 
 
-def command(*arguments: object) -> None:
+def command(*arguments: object, without_option: dict[str, Any] | None = None) -> None:
     """Runs the command line; raises `FailedError` unless it ends well or with one line of an error."""
     errors = io.StringIO()
     before, sys.stderr = sys.stderr, errors
     try:
-        status = main([str(argument) for argument in arguments])
+        status = main([str(argument) for argument in arguments], without_option=without_option)
     finally:
         sys.stderr = before
     last = errors.getvalue().rstrip("\n").split("\n")[-1]
@@ -82,7 +83,9 @@ def command(*arguments: object) -> None:
 def stop_before_work() -> None:
     """Has long work raise `ReachedWork`."""
 
-    def reached(*_: Any, **__: Any) -> Any:
+    def reached(*given: Any, **_: Any) -> Any:
+        if given[2:] and given[2] == ():  # jobs for an executor: all are done already
+            return io.StringIO()  # no outcomes, and can be closed
         raise ReachedWork
 
     for place in (
@@ -113,6 +116,20 @@ def stop_before_work() -> None:
         if not hasattr(owner, last):
             raise AttributeError(f"{place} is not there any more: name what takes its place")
         setattr(owner, last, reached)
+
+
+def remember_executable() -> None:
+    """Has a motion made executable once only, so that what follows is reached also where that is stopped."""
+    retarget: Any = import_module("fastmimic.retargeting.retarget")
+    compute, known = retarget.nearest_executable, {}
+
+    def remembered(robot: Any, animal: Any, **others: Any) -> Any:
+        key = (robot.content, *(array.tobytes() for array in (animal.root_pos_w, animal.joint_pos)))
+        if key not in known:
+            known[key] = compute(robot, animal, **others)
+        return known[key]
+
+    retarget.nearest_executable = remembered
 
 
 def planted(scratch: Path) -> list[Case]:
@@ -152,6 +169,7 @@ def of_tests(name: str) -> Any:
 
 def cases(scratch: Path) -> list[Case]:
     """All kinds of input; valid files are written to `scratch`, where those of before are used."""
+    remember_executable()
     make_folders(scratch)
     found = [*_clips(scratch), *_robots(scratch), *_settings(), *_motions(scratch), *_logs(scratch), *_terrains()]
     found += [*_policies(scratch), *_folders(scratch)]
@@ -177,26 +195,30 @@ def _clips(scratch: Path) -> list[Case]:
         "laikago.txt": samples.deepmimic_text(12),
         "robot.csv": samples.csv_text(12),
         "header.csv": samples.csv_text(12, header=True),
-        "deeplabcut.csv": poses.deeplabcut_csv({"": points}),
-        "animals.csv": poses.deeplabcut_csv({"rex": points, "ina": points}, likelihood=0.9),
-        "anipose.csv": poses.anipose_csv(points),
-        "dog.bvh": _bvh(points, poses, rate),
-        "named.csv": _named(points, poses),
+    }
+    of_points: dict[str, Callable[[Path, Any, float], Any]] = {
+        "deeplabcut.csv": lambda path, p, _: path.write_text(poses.deeplabcut_csv({"": p})),
+        "animals.csv": lambda path, p, _: path.write_text(poses.deeplabcut_csv({"rex": p, "ina": p}, likelihood=0.9)),
+        "anipose.csv": lambda path, p, _: path.write_text(poses.anipose_csv(p)),
+        "dog.bvh": lambda path, p, hz: path.write_text(_bvh(p, poses, hz)),
+        "named.csv": lambda path, p, _: path.write_text(_named(p, poses)),
+        "table.h5": lambda path, p, _: poses.deeplabcut_h5(path, p),
+        "sleap.h5": lambda path, p, _: poses.sleap_anipose_h5(path, [p], names=True),
+        "flat.h5": lambda path, p, _: poses.sleap_analysis_h5(path, p),
+        "markers.c3d": poses.c3d,
+        "ai4.npz": poses.ai4animation_npz,
+        "linear.glb": poses.glb,
+        "cubic.glb": lambda path, p, hz: poses.glb(path, p, hz, "CUBICSPLINE", 2),
     }
     files = {name: text.encode() for name, text in texts.items()}
-    for name, write in {
-        "table.h5": lambda path: poses.deeplabcut_h5(path, points),
-        "sleap.h5": lambda path: poses.sleap_anipose_h5(path, [points], names=True),
-        "flat.h5": lambda path: poses.sleap_analysis_h5(path, points),
-        "markers.c3d": lambda path: poses.c3d(path, points, rate),
-        "ai4.npz": lambda path: poses.ai4animation_npz(path, points, rate),
+    writers: dict[str, Callable[[Path], Any]] = {
+        **{name: partial(_written, write, points, rate) for name, write in of_points.items()},
         "trajectory.npz": lambda path: np.savez(
             path, q=(q := samples.csv_values()), v=np.zeros((len(q), 18)), dt=np.full(len(q), 0.02)
         ),
-        "linear.glb": lambda path: poses.glb(path, points, rate),
-        "cubic.glb": lambda path: poses.glb(path, points, rate, "CUBICSPLINE", 2),
         "amp.txt": lambda path: export_motion(load_motion("trot", robot), robot, path, "amp"),
-    }.items():
+    }
+    for name, write in writers.items():
         write(scratch / name)
         files[name] = (scratch / name).read_bytes()
 
@@ -212,7 +234,25 @@ def _clips(scratch: Path) -> list[Case]:
             up, frames = pick(draw, (None, None, "z", "-y")), pick(draw, (None, None, (0, 5), (2, 9)))
             read_clip(path, ReadOptions(robot=robot, fps=fps, up=up, frames=frames))
 
-    return [Case(f"clip {name}", {name: content}, partial(use, name), 3) for name, content in files.items()]
+    def other_points(folder: Path, draw: Draw) -> None:
+        name, changed = pick(draw, list(of_points)), np.array(points)
+        for _ in range(draw(st.integers(1, 3))):
+            changed = changed_numbers(draw, changed)
+        try:
+            _written(of_points[name], changed, pick(draw, (rate, rate, rate, *VALUES)), folder / name)
+        except (ValueError, ArithmeticError, LookupError, TypeError, struct.error):  # what its program cannot write
+            (folder / name).write_bytes(files[name])
+        use(name, folder, draw)
+
+    found = [Case(f"clip {name}", {name: content}, partial(use, name), 3) for name, content in files.items()]
+    return [*found, Case("clip of other points", {}, other_points, 15)]
+
+
+def _written(write: Callable[[Path, Any, float], Any], points: Any, rate: float, path: Path) -> None:
+    if not len(points) or not 1e-30 < rate < 1e30:
+        raise ValueError("at this ezc3d ends the process")
+    with np.errstate(all="ignore"):
+        write(path, points, rate)
 
 
 def _bvh(points: Any, poses: Any, rate: float) -> str:
@@ -340,15 +380,17 @@ def _logs(scratch: Path) -> list[Case]:
     meta |= {"foot_force": "auto", "result": {"stopped_by": "end", "stopped_because": None, "log_ends": None}}
     motion = load_motion("trot", "a1")
 
-    def write(path: Path, facts: dict[str, Any]) -> bytes:
+    def write(path: Path, facts: dict[str, Any], rows: Any = rows, truth: Any = truth) -> bytes:
         """Writes a log; returns what there is of it before it ends."""
+        path.unlink(missing_ok=True)
         log = logs.new_log_file(path, motion, facts, steps, with_truth=True)
-        log.add_rows(np.arange(steps), {logs.PERIODS: rows, logs.TRUTH: truth})
+        log.add_rows(np.arange(len(rows)), {logs.PERIODS: rows, logs.TRUTH: truth})
         begun = log.path.read_bytes()
         log.end({"result": facts["result"]} if "result" in facts else {})
         return begun
 
     killed = write(scratch / "log.mcap", meta)
+    (scratch / "truth.mcap").unlink(missing_ok=True)
     real = LogFile(scratch / "truth.mcap", {logs.ROBOT_SIM: logs.GROUND_TRUTH}, steps)
     real.add_rows(np.arange(steps), {logs.ROBOT_SIM: np.zeros(steps, logs.GROUND_TRUTH)})
     real.end({})
@@ -368,10 +410,24 @@ def _logs(scratch: Path) -> list[Case]:
             write(folder / "log.mcap", meta)
         use("log.mcap", folder, draw)
 
+    def other_rows(folder: Path, draw: Draw) -> None:
+        """Numbers that no robot sends."""
+        left = pick(draw, (steps, steps, 0, 1, 2, 3))
+        held = rows[:left].copy(), truth[:left].copy()
+        for _ in range(draw(st.integers(1, 3))):
+            field = pick(draw, held)
+            while field.dtype.names:
+                field = field[pick(draw, field.dtype.names)]
+            changed = changed_numbers(draw, field)
+            field[: len(changed)] = changed
+        write(folder / "log.mcap", {k: v for k, v in meta.items() if k != "result" or chance(draw, 2)}, *held)
+        use("log.mcap", folder, draw)
+
     named = {name: (scratch / name).read_bytes() for name in ("log.mcap", "truth.mcap")}
     return [
         Case("log of a deployment", {"log.mcap": named["log.mcap"]}, partial(use, "log.mcap"), 8),
         Case("log of a deployment with other facts", {}, other_facts, 8),
+        Case("log of a deployment with other rows", {}, other_rows, 8),
         Case("log of a killed deployment", {"log.mcap": killed}, partial(use, "log.mcap"), 8),
         Case(
             "ground truth",
@@ -485,10 +541,13 @@ def _folders(scratch: Path) -> list[Case]:
         "deployment": (("report", "."), ("evaluate", "log.mcap"), ("identify", "."), ("evaluate", ".")),
     }
 
+    quick = of_tests("searches.py").QUICK_COMMAND
+
     def use(name: str, folder: Path, draw: Draw) -> None:
         for _ in range(pick(draw, (1, 1, 2))):
             arguments = pick(draw, verbs[name])
-            command(*arguments, *(("--out", ".") if arguments == _MADE["library"] else ()))
+            out = ("--out", ".") if arguments == _MADE["library"] else ()
+            command(*arguments, *out, without_option=quick)
 
     found = []
     for name in verbs:

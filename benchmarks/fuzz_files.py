@@ -18,6 +18,7 @@ Draw = Callable[[st.SearchStrategy[Any]], Any]
 """Draws an example of a strategy."""
 
 NUMBERS: Final = (
+    *("1e300", "-1e307", "1e-300", "1e16"),
     *("nan", "inf", "-inf", "1e999", "1e308", "-1e308", "1e-320", "0", "-0.0", "-1", "1", "2", "0.5", "1e6", "1e9"),
     *("9223372036854775807", "-9223372036854775808", "18446744073709551616", "9" * 30, "9" * 400, "1_0", "0x10", "²"),
 )
@@ -27,6 +28,11 @@ TOKENS: Final = (
 )
 WORDS: Final = ("", " ", "x", "a\nb", "\0", "\ud800", "é", "name" * 2000, "no/..", "{}", "%s", "nan", "trot", "a1")
 DTYPES: Final = ("<f8", "<f4", "<f2", "<i8", "|i1", "<u8", "?", "<c16", "<U5", "|S3", "<M8[s]", "|V4", ">f8")
+VALUES: Final = (
+    *(np.nan, np.inf, -np.inf, 1e308, -1e307, 1e300, -1e300, 1e155, 1e16, 1e-155, 1e-300, 1e-320),
+    *(0.0, -1.0, 1.0, 1e9, 2**62, 2**53 + 1),
+)
+SCALES: Final = (1e300, 1e-300, 1e155, 1e16, 1e-9, -1.0)
 _BOMB_MB: Final = 600
 
 
@@ -82,7 +88,7 @@ def changed_text(draw: Draw, content: bytes) -> bytes:
     """Numbers and names of a table replaced; lines and columns repeated, left out or moved."""
     text = content.decode("utf-8", "replace")
     for _ in range(draw(st.integers(1, 3))):
-        how = draw(st.integers(0, 5))
+        how = draw(st.integers(0, 7))
         words, lines = list(re.finditer(r"[\w.+-]+", text)), text.split("\n")
         if how <= 2 and words:
             word = pick(draw, words)
@@ -99,6 +105,14 @@ def changed_text(draw: Draw, content: bytes) -> bytes:
             column, value = draw(st.integers(0, 40)), pick(draw, NUMBERS)
             cells = [line.split(",") for line in lines]
             text = "\n".join(",".join([*c[:column], value, *c[column + 1 :]]) for c in cells)
+        elif how == 6:  # all numbers of all lines but the first few, or of some in the middle
+            first = draw(st.integers(0, min(4, len(lines))))
+            end = pick(draw, (len(lines), min(first + 3, len(lines))))
+            power = pick(draw, ("e300", "e-300", "e155", "e16", "e-9"))
+            lines[first:end] = [re.sub(r"(\d\.\d+)\b", rf"\g<1>{power}", line) for line in lines[first:end]]
+            text = "\n".join(lines)
+        elif how == 7:  # few lines
+            text = "\n".join([*lines[: draw(st.integers(1, 8))], *lines[len(lines) - pick(draw, (0, 0, 1)) :]])
     return text.encode("utf-8", "surrogatepass")
 
 
@@ -106,9 +120,7 @@ def values(draw: Draw) -> Any:
     """A value of JSON, also of what no program writes."""
     how = draw(st.integers(0, 7))
     if how <= 2:
-        return pick(
-            draw, (None, True, False, 0, -1, 1, 0.5, 1e308, float("nan"), float("-inf"), 10**17, 10**30, 10**400)
-        )
+        return pick(draw, (None, True, False, 0, -1, 1, 0.5, 10**17, 10**18, 10**30, 10**400, *VALUES))
     if how == 3:
         return pick(draw, WORDS)
     if how == 4:
@@ -168,7 +180,10 @@ def changed_arrays(draw: Draw, content: bytes) -> bytes:
     with np.load(io.BytesIO(content), allow_pickle=True) as file:
         arrays = {name: file[name] for name in file.files}
     raw: dict[str, bytes] = {}
-    for _ in range(draw(st.integers(1, 3))):
+    few = chance(draw, 10)
+    if few:
+        arrays = few_rows(draw, arrays)
+    for _ in range(draw(st.integers(0 if few else 1, 3))):
         name = pick(draw, [*arrays, *raw])
         array = arrays.pop(name, None)
         how = draw(st.integers(0, 9))
@@ -208,7 +223,8 @@ def changed_array(draw: Draw, array: Any) -> Any:
             except (TypeError, ValueError, RuntimeError):  # RuntimeError: numbers as dates of too many years
                 return np.zeros(array.shape, "f4")
     if how == 1:
-        shape = pick(draw, ((), (0,), (1,), (2, 2), (*array.shape, 1), array.shape[1:], array.shape[::-1], (3, 0, 4)))
+        own = array.shape
+        shape = pick(draw, ((), (0,), (1,), (2, 2), (1, *own[1:]), (*own, 1), own[1:], own[::-1], (3, 0, 4)))
         return np.resize(array, shape)
     if how == 2 and array.ndim:
         return array[: draw(st.integers(0, len(array)))]
@@ -218,14 +234,35 @@ def changed_array(draw: Draw, array: Any) -> Any:
         return np.array([{"a": 1}, None], dtype=object)
     if array.dtype.kind not in "fiu" or array.size == 0:
         return np.zeros(array.shape)
-    out = np.array(array)
-    value = pick(draw, (np.nan, np.inf, -np.inf, 1e308, -1e300, 1e-320, 0.0, -1.0, 1e9, 2**62))
+    return changed_numbers(draw, array)
+
+
+def changed_numbers(draw: Draw, array: Any) -> Any:
+    """Numbers of an array replaced: all, one, or some rows in the middle; or all scaled, or its end cut off."""
+    out, how = np.array(array), draw(st.integers(0, 4))
+    if out.size == 0:
+        return out
     with np.errstate(all="ignore"):
-        if chance(draw, 2):
-            out[...] = np.asarray(value).astype(out.dtype)
+        value = np.asarray(pick(draw, VALUES)).astype(out.dtype)
+        if how == 0:
+            out[...] = value
+        elif how == 1:
+            out.reshape(-1)[draw(st.integers(0, out.size - 1))] = value
+        elif how == 2 and out.ndim:
+            first = draw(st.integers(0, len(out) - 1))
+            out[first : first + pick(draw, (1, 3, len(out)))] = value
+        elif how == 3 and out.ndim:
+            out = out[: draw(st.integers(0, 4))]
         else:
-            out.reshape(-1)[draw(st.integers(0, out.size - 1))] = np.asarray(value).astype(out.dtype)
+            out = (out * np.asarray(pick(draw, SCALES))).astype(out.dtype)
     return out
+
+
+def few_rows(draw: Draw, arrays: dict[str, Any]) -> dict[str, Any]:
+    """All arrays with as many rows as most have, cut to a few."""
+    lengths = [len(array) for array in arrays.values() if array.ndim] or [0]
+    rows, left = max(set(lengths), key=lengths.count), draw(st.integers(0, 4))
+    return {name: array[:left] if array.ndim and len(array) == rows else array for name, array in arrays.items()}
 
 
 def npy(array: Any) -> bytes:
@@ -356,6 +393,7 @@ _XML_VALUES: Final = (
         "1 1",
         "-1 -1 -1",
         "1e300 1e300 1e300",
+        "1e-300 1e-300 1e-300",
         "2d",
         "sphere",
         "mesh",

@@ -10,6 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import fuzz_cases
 import fuzz_files
 import numpy as np
 import pytest
@@ -66,6 +67,25 @@ def test_a_file_is_changed_the_same_way_again(name: str) -> None:
         assert once == again
     assert len(set(once)) > 20
     assert VALID[name] not in once[:1]
+
+
+def test_the_files_of_a_worker_before_are_no_obstacle(tmp_path: Path) -> None:
+    for _ in range(2):
+        assert fuzz_cases._logs(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["f8", "i4", "?"])
+def test_numbers_are_changed_in_place_or_cut_off(kind: str) -> None:
+    found: list[np.ndarray] = []
+
+    @settings(database=None, max_examples=50)
+    @given(st.data())
+    def make(data: Any) -> None:
+        found.append(fuzz_files.changed_numbers(data.draw, np.ones((6, 3), kind)))
+
+    make()
+    assert {array.dtype for array in found} == {np.dtype(kind)}
+    assert all(array.shape[1:] == (3,) for array in found)
 
 
 def test_some_archives_are_bombs() -> None:
