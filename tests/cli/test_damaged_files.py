@@ -95,6 +95,11 @@ FILES: dict[str, tuple[Callable[[Path], str], str, str]] = {
         "identify",
         "got `array` - at `$.rate_hz`",
     ),
+    "log slow": (
+        lambda folder: deployment(folder, FACTS | {"rate_hz": 1e-320}),
+        "evaluate",
+        "Expected `float` >= 1.0 - at `$.rate_hz`",
+    ),
     "log result": (
         lambda folder: deployment(folder, FACTS | {"rate_hz": 500.0, "result": None}),
         "evaluate",

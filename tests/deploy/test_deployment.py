@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
-from fastmimic.base.errors import ConfigError, DriverError, MotionError
+from fastmimic.base.errors import ConfigError, DeploymentError, DriverError, MotionError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.account import summary_rows
 from fastmimic.deploy.computer import LoopClock, Rehearsal, VirtualClock
@@ -216,6 +216,11 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     score = score_log(a1, again, ControllerConfig())
     assert score is not None
     assert score.rollout.reward[0] == log.meta["result"]["reward_mean"]
+    for name, value in (("sample", log.motion.n_samples), ("sample", -1), ("haste", -1e9), ("haste", np.nan)):
+        rows = again.rows.copy()
+        rows[name] = value
+        with pytest.raises(DeploymentError, match="samples that its motion has not"):
+            score_log(a1, dataclasses.replace(again, rows=rows), ControllerConfig())
 
 
 def test_a_run_is_scored_with_its_own_contact_threshold(trotting: Rig) -> None:

@@ -116,7 +116,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
     clearance = ", ".join(f"{leg} {number(height, 0, 1e3)}" for leg, height in heights)
     rows = figure_rows(
         figures,
-        reward=f"{figures['reward_mean']:.3f}" + (f" ± {figures['reward_std']:.3f}" if several else ""),
+        reward=number(figures["reward_mean"]) + (f" ± {number(figures['reward_std'])}" if several else ""),
         fell=f"{figures['fell']:.0%} of the episodes" if several else yes_no(figures["fell"]),
         clearance=("swing clearance, mm", clearance),
     )
@@ -124,10 +124,10 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
         drift = figures["estimate_drift_percent"]
         rows += [
             ("estimator drift", NONE if drift is None else f"{drift:.2f} % of the distance"),
-            ("  velocity rmse, m/s", f"{figures['estimate_velocity_rmse_m_per_s']:.3f}"),
-            ("  height rmse, mm", f"{1e3 * figures['estimate_height_rmse_m']:.1f}"),
-            ("  tilt rmse, mrad", f"{1e3 * figures['estimate_tilt_rmse_rad']:.1f}"),
-            ("  heading error, mrad", f"{1e3 * figures['estimate_heading_error_rad']:.1f}"),
+            ("  velocity rmse, m/s", number(figures["estimate_velocity_rmse_m_per_s"])),
+            ("  height rmse, mm", number(figures["estimate_height_rmse_m"], 1, 1e3)),
+            ("  tilt rmse, mrad", number(figures["estimate_tilt_rmse_rad"], 1, 1e3)),
+            ("  heading error, mrad", number(figures["estimate_heading_error_rad"], 1, 1e3)),
             ("  foot sensors in use", f"{figures['estimate_foot_sensors_share']:.0%}"),
         ]
     episodes = f"{figures['episodes']} episode{'s' if several else ''} of {figures['duration_s']:g} s"

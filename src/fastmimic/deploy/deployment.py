@@ -231,6 +231,8 @@ def score_log(
     counts = log.rows[rows]
     clock = _first_clock(motion, counts[0], seen[0])
     table = reference_table(motion.target, robot)
+    if not ((counts["sample"] >= 0) & (counts["sample"] < len(table)) & (np.abs(counts["haste"]) <= len(table))).all():
+        raise DeploymentError("the log is damaged: it has samples that its motion has not")
     scorer, memory = Scorer(robot, table, 1, config, log.rate_hz), np.zeros(1, MEMORY)
     before = counts[0]
     clocks, terms = np.zeros(len(rows), clock.dtype), []

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.conventions import RATE_RANGE_HZ
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_json
 from fastmimic.deploy.log_file import LogFile, read_log_file
@@ -49,8 +50,8 @@ class _Facts(msgspec.Struct):
     method: str
     foot_force: str
     config: dict[str, Any]
-    latency_s: float
-    rate_hz: Annotated[float, msgspec.Meta(gt=0)]
+    latency_s: Annotated[float, msgspec.Meta(ge=0, le=1)]
+    rate_hz: Annotated[float, msgspec.Meta(ge=RATE_RANGE_HZ[0], le=RATE_RANGE_HZ[1])]
     result: _Ended | msgspec.UnsetType = msgspec.UNSET  # of a log that was cut off
 
 
