@@ -82,19 +82,16 @@ def write_json(path: str | Path, value: Any) -> None:
 
 def from_json(text: str) -> Any:
     """The value of a JSON text; a whole number of more than 64 bits, which no array holds, is read as a float. Raises
-    `ValueError`, also for brackets that nest too deeply, and for NaN, infinity and half a character, which no program
-    may write."""
+    `ValueError`, also for brackets that nest too deeply, and for NaN, infinity and half a character."""
 
     def finite(digits: str) -> float:
         if not math.isfinite(value := float(digits)):
             raise ValueError(f"{digits[:20]} is no finite number")
         return value
 
-    def whole(digits: str) -> float:
-        return int(digits) if len(digits) < 19 else finite(digits)
-
+    hooks: dict[str, Any] = {"parse_float": finite, "parse_constant": finite}
     try:
-        found = json.loads(text, parse_int=whole, parse_float=finite, parse_constant=finite)
+        found = json.loads(text, parse_int=lambda d: int(d) if len(d) < 19 else finite(d), **hooks)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
     json.dumps(found, ensure_ascii=False).encode()  # raises for half a character

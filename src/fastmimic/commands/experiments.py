@@ -97,8 +97,7 @@ class Compare:
                 if folder.begun:
                     _leave(folder, prepared)
                 raise
-            with of_finished(self.out):
-                write_comparison(folder, plan, prepared.finished())
+            of_finished(self.out)(write_comparison)(folder, plan, prepared.finished())
         put(*folder.read(TABLE, ABLATION_TABLE).splitlines(), f"results in {self.out}")
         return 0
 
@@ -123,9 +122,8 @@ def _leave(folder: "ComparisonFolder", prepared: "Prepared") -> None:
     from fastmimic.report.experiment_figures import write_comparison
 
     try:
-        with of_finished(folder.path):
-            if rows := prepared.finished():
-                write_comparison(folder, prepared.plan, rows)
+        if rows := prepared.finished():
+            of_finished(folder.path)(write_comparison)(folder, prepared.plan, rows)
     except FastMimicError as error:  # the interruption or the run's failure is reported
         note(f"the tables could not be written: {error}")
     note(KEPT)

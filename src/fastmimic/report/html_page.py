@@ -4,7 +4,6 @@ lines and axes. Colours are names in the style sheet."""
 import base64
 import gzip
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -186,11 +185,9 @@ def rows_axis(names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def numbers(values: Any, digits: int = 5) -> list[float | None]:
-    """A list for JSON: `digits` significant digits, None for NaN and infinity."""
-    return [
-        float(f"{v:.{digits}g}") if math.isfinite(v) else None for v in np.asarray(values, dtype=np.float64).tolist()
-    ]
+def numbers(values: Any, digits: int = 5) -> list[float]:
+    """A list for JSON of `digits` significant digits."""
+    return [float(f"{v:.{digits}g}") for v in np.asarray(values, dtype=np.float64).tolist()]
 
 
 def said_arguments(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -213,8 +213,7 @@ def created(path: Path) -> Iterator[None]:
 
 @contextmanager
 def of_finished(path: Path) -> Iterator[None]:
-    """Makes something of the finished parts in a folder; raises `OutputError` if they hold other values than they
-    should."""
+    """Makes something of the finished parts in a folder; raises `OutputError` if that does not work."""
     try:
         yield
     except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError) as error:
