@@ -55,5 +55,7 @@ def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | No
     if kind == "run":
         return html_run.run_page(path, replay)
     pages = {"comparison": html_comparison.comparison_page, "results": html_comparison.results_page}
+    if kind not in pages:
+        return html_deployment.deployment_page(path)
     with of_finished(path):
-        return pages.get(kind, html_deployment.deployment_page)(path)
+        return pages[kind](path)
