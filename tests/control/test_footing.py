@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
@@ -48,8 +49,28 @@ def test_the_plane_under_the_feet_is_found(robot: Robot, terrain: str, axis: int
 
 
 def test_a_robot_that_does_not_feel_a_slope_falls(robot: Robot) -> None:
-    assert walked(robot, "slope=14", blind()).scorer.tallies["fallen"].all()
-    assert not walked(robot, "slope=14", ControllerConfig()).scorer.tallies["fallen"].any()
+    assert walked(robot, "slope=17", blind()).scorer.tallies["fallen"].all()
+    assert not walked(robot, "slope=17", ControllerConfig()).scorer.tallies["fallen"].any()
+
+
+@pytest.mark.parametrize("reaches", [True, False])
+def test_a_foot_that_should_stand_and_finds_no_ground_is_pressed_down(robot: Robot, reaches: bool) -> None:
+    """Little is planned for the feet of a robot that rises fast."""
+    config = ControllerConfig()
+    config = replace(config, gait=replace(config.gait, reach_force=0.2 if reaches else 0.0))
+    motion = load_motion("walk", robot)
+    loop = ClosedLoop(robot, motion, ROBOTS, config)
+    loop.place(starts(motion.n_samples))
+    observation = loop.simulation.observation.copy()
+    observation["foot_force"] = 0.0
+    observation["lin_vel"][:, 2] = 3.0
+    for _ in range(30):
+        command = loop.controller.step(observation, loop.clocks)
+    memory = loop.controller.memory
+    idle = (memory["stance"] == 1) & (memory["force"][..., 2] < 0.05 * robot.mass * GRAVITY)
+    assert idle.any(axis=1).all()
+    knees = np.abs(command["torque"].reshape(ROBOTS, 4, 3)[..., 2])[idle]
+    assert knees.mean() > 3.0 if reaches else knees.mean() < 1.0
 
 
 def test_a_lost_reading_is_not_felt(robot: Robot) -> None:
