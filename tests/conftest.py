@@ -44,8 +44,8 @@ def a1(robot: Robot) -> Robot:
 
 @pytest.fixture(scope="session")
 def gaits() -> GaitField:
-    """A field of few gaits of the A1, made once and then kept in the cache."""
-    return gait_field("a1", grid=Grid((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0)))
+    """A field of few gaits of the A1, whose solutions are in the package."""
+    return gait_field("a1", grid=Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5)))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

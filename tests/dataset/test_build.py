@@ -453,7 +453,7 @@ def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, mo
 
 def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
     take = data_folder / "dog_keypoints" / "dog_walk09_joint_pos.txt"
-    building = BuildRequest(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.8)
+    building = BuildRequest(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.85)
     done = build_dataset(building, tmp_path, HERE)
     assert done.jobs >= 2
     assert all(row["first_frame"] < row["end_frame"] for row in done.rows)

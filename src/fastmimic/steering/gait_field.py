@@ -31,7 +31,7 @@ from fastmimic.reference.standing import standing
 from fastmimic.retargeting.retarget import is_one_cycle, retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.trajectory.config import TrajectoryConfig
-from fastmimic.trajectory.executable import nearest_executable
+from fastmimic.trajectory.executable import falls_with, nearest_executable
 from fastmimic.trajectory.solved import Remembered
 
 RATE_HZ: Final = 500.0
@@ -97,10 +97,11 @@ def gait_field(
     workers: int | None = 1,
 ) -> GaitField:
     """The field of a robot, whose name or file is `source`, from one period of an animal's gait, or by default of a
-    built-in trot. It is made once, in a minute or two, and kept in the user's
-    cache folder; `progress` is told how many of the gaits are done, and of how many. `workers` processes make it, as
-    many as there are cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises
-    `MotionError` if there is no executable motion near a gait, `ClipError` for a clip that does not repeat."""
+    built-in trot. It is made once and kept in the user's cache folder: in a minute or two, or in seconds where its
+    solutions are in the package, as those of the A1 and the Go2 with the built-in trot. `progress` is told how many of
+    the gaits are done, and of how many. `workers` processes make it, as many as there are cores if None; a script that
+    asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there is no executable motion near a
+    gait, `ClipError` for a clip that does not repeat."""
     clip = clip if clip is not None else keypoints(_GAIT, {"name": "trot"})
     if not is_one_cycle(clip):
         name = clip.meta.get("name", "the clip")
@@ -114,7 +115,7 @@ def gait_field(
     found = known.read()
     if found is None:
         found = _made(source, clip, robot, grid, progress, LocalExecutor(workers))
-        known.keep(found)
+        known.keep(found, packaged=False)  # it is large, and made of what is
     rows, gains = (found[name].view(kind)[..., 0] for name, kind in (("rows", COURSE), ("gains", GAINS)))
     return GaitField(robot, np.array(grid.forwards), np.array(grid.sideways), np.array(grid.turning), rows, gains)
 
@@ -161,6 +162,6 @@ def _executable(robot: Robot, animal: Motion) -> Motion | None:
         except MotionError:
             continue
         own = motion.n_samples == animal.n_samples and np.mean(motion.contact == animal.contact) >= _SAME_CONTACT
-        if own and share_of_falls(robot, motion) == 0.0:
+        if own and falls_with(share_of_falls, robot, motion) == 0.0:
             return motion
     return None

@@ -124,7 +124,7 @@ def nearest_executable(
     best = _within_limits(problem, {})
     if falls is None or (animal.cycle is None and animal.period_s > _CHECKED_S):
         return best
-    fell = _share_of_falls(falls, robot, best.motion)
+    fell = falls_with(falls, robot, best.motion)
     for more in _STEADIER:
         if fell == 0:
             break
@@ -133,13 +133,14 @@ def nearest_executable(
             other = _within_limits(problem, {**known, **more}, start)
         except MotionError:
             continue
-        if (share := _share_of_falls(falls, robot, other.motion)) < fell:
+        if (share := falls_with(falls, robot, other.motion)) < fell:
             best, fell = other, share
     return replace(best, figures=replace(best.figures, fell=fell))
 
 
-def _share_of_falls(falls: Callable[[Robot, Motion], float], robot: Robot, motion: Motion) -> float:
-    """`falls`, run once for each motion if it is this package's own: another's may change."""
+def falls_with(falls: Callable[[Robot, Motion], float], robot: Robot, motion: Motion) -> float:
+    """The share `falls` of a robot with a motion, found once for each if `falls` is this package's own: another's may
+    change."""
     if not falls.__module__.startswith("fastmimic."):
         return falls(robot, motion)
     names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "root_lin_vel_w", "root_ang_vel_w", "contact")

@@ -50,9 +50,10 @@ class Remembered:
                 return answer
         return None
 
-    def keep(self, answer: dict[str, Array]) -> None:
-        """Keeps the answer; nothing happens where the user's cache folder cannot be written."""
-        if recorded is not None:
+    def keep(self, answer: dict[str, Array], *, packaged: bool = True) -> None:
+        """Keeps the answer, and with `packaged` records it for the package; nothing happens where the user's cache
+        folder cannot be written."""
+        if recorded is not None and packaged:
             recorded.append((self._general, answer | {"probe": self._probe}))
         folder = _folder()
         try:
@@ -76,12 +77,10 @@ recorded: list[tuple[str, dict[str, Array]]] | None = None
 """Where a process records what it keeps, for the package."""
 
 
-def write_recorded(path: Path) -> None:
-    """Writes what was recorded to a file such as `PACKAGED`."""
+def write_recorded(path: Path, answers: list[tuple[str, dict[str, Array]]]) -> None:
+    """Writes recorded answers to a file such as `PACKAGED`."""
     arrays = {
-        f"{key} {number} {name}": array
-        for number, (key, known) in enumerate(recorded or ())
-        for name, array in known.items()
+        f"{key} {number} {name}": array for number, (key, known) in enumerate(answers) for name, array in known.items()
     }
     replace_file(path, lambda stream: np.savez_compressed(stream, **arrays))  # type: ignore[arg-type]
 
