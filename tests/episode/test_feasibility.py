@@ -8,7 +8,7 @@ import pytest
 
 from control.motions import gait, standing
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.episode.feasibility import Demands, Fall, demands, describe_fall, reasons
+from fastmimic.episode.feasibility import MAX_SLIP_M, Demands, Fall, demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.rollout import Rollout
@@ -127,7 +127,7 @@ def test_a_fall_says_when_and_how(robot: Robot, pushed: Rollout) -> None:
     assert bool(fall.touched) == (fall.how == "touched the ground")
     assert not set(fall.touched) & set(robot.foot_geoms)
     assert 0.0 <= fall.saturated <= 1.0
-    assert fall.slip_m > 0.05
+    assert fall.slip_m > MAX_SLIP_M
     assert "friction" in [reason.kind for reason in reasons(EASY, fall)]
     json.dumps(asdict(fall))
 
