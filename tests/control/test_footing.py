@@ -73,6 +73,33 @@ def test_a_foot_that_should_stand_and_finds_no_ground_is_pressed_down(robot: Rob
     assert knees.mean() > 3.0 if reaches else knees.mean() < 1.0
 
 
+@pytest.mark.parametrize("feels", [True, False])
+def test_a_robot_whose_feet_slide_assumes_less_friction(robot: Robot, feels: bool) -> None:
+    """A trotting robot that moves sideways as a whole, and later does not."""
+    config = ControllerConfig()
+    config = replace(config, stance=replace(config.stance, friction_time=0.1 if feels else 0.0))
+    motion = load_motion("trot", robot)
+    loop = ClosedLoop(robot, motion, ROBOTS, config)
+    loop.place(starts(motion.n_samples))
+    memory, observation = loop.controller.memory, loop.simulation.observation.copy()
+    observation["foot_force"][..., 2] = 0.5 * robot.mass * GRAVITY
+    observation["joint_vel"] = 0.0
+    observation["lin_vel"] = (0.0, 0.7, 0.0)
+    for _ in range(60):
+        loop.controller.step(observation, loop.clocks)
+    assert memory["friction"].max() < 0.5 if feels else memory["friction"].min() == 0.6
+    observation["lin_vel"] = 0.0
+    low = memory["friction"].copy()
+    for _ in range(500):
+        loop.controller.step(observation, loop.clocks)
+    np.testing.assert_allclose(memory["friction"], 0.6 - (0.6 - low) * np.exp(-1.0 / 5.0), atol=1e-3)
+
+
+def test_a_foot_that_rolls_does_not_slide(robot: Robot) -> None:
+    loop = walked(robot, "rough=0", ControllerConfig())
+    assert (loop.controller.memory["friction"] == 0.6).all()
+
+
 def test_a_lost_reading_is_not_felt(robot: Robot) -> None:
     motion = load_motion("trot", robot)
     loop = ClosedLoop(robot, motion, ROBOTS)

@@ -43,6 +43,7 @@ class Stance:
         self.stance = stance
         self.arms = np.array(arms if arms is not None else square(0.2, 0.13, 0.27))
         self.memory = np.zeros(1, MEMORY)
+        self.memory["friction"] = stance.friction
         self.qp = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS)
         self.model, self.gain, self.scratch = np.zeros(1, MODEL), constant_gains_of(stance), np.zeros(1, SCRATCH)
         self.model["mass"] = MASS

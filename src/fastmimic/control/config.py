@@ -79,6 +79,7 @@ class StanceConfig:
     force_weight: float = 1e-4
     friction: float = 0.6
     friction_sides: int = 8
+    friction_time: float = 0.1
     min_force: float = 0.02
     max_force: float = 3.0
     adaptation: Literal["off", "paper", "full"] = "full"

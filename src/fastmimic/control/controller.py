@@ -11,7 +11,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_vector, transposed_times
 from fastmimic.control.config import ControllerConfig, StanceConfig, loaded_robot, pack_config
-from fastmimic.control.footing import see_ground
+from fastmimic.control.footing import feel_slides, see_ground
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
 from fastmimic.control.joint_commands import (
@@ -125,6 +125,7 @@ def control_step(
         for leg in range(4):
             if plan_leg(config, memory, leg, ref.contact[leg] == 1, ref.swung[leg], obs.foot_force[leg, 2]):
                 lift_off(config, ref, memory, scratch, leg, height_error)
+        feel_slides(config, model, obs, memory, scratch)
         regulate(config, ref, gain, memory, scratch)
         planned = False
         if foresights is not None:

@@ -13,12 +13,20 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.base.vectors import quat_to_matrix, times, transposed_times
-from fastmimic.robot.kinematics import leg_forward
+from fastmimic.robot.dynamics import cross
+from fastmimic.robot.kinematics import leg_forward, leg_jacobian
 
 SMALL_SLOPE: Final = 0.03  # that is taken for level, and twice as much for what it is
 SMALL_HEIGHT_M: Final = 0.01  # likewise, of the ground's height and of the feet's distances from the plane
 STEEPEST: Final = 0.5
 STIFF_M2: Final = 0.02  # by which one foot alone does not turn the plane
+SLIDE_M_S: Final = 0.15  # speed of a foot that slides
+SLIDE_M: Final = 0.008  # way after which it does
+SLIDE_LOAD: Final = 0.5  # its load, share of the one with which a foot counts as loaded
+NEAR_CONE: Final = 0.8  # share of the assumed friction from which a force can make it slide
+SETTLED_S: Final = 0.03  # after a touch-down
+LEAST_FRICTION: Final = 0.2  # that is assumed
+RETURNS: Final = 50.0  # times as slowly as it falls
 RISING_M: Final = 0.03  # height of a foot from which it is lifted all of what it has to be
 
 
@@ -139,6 +147,53 @@ def _write(obs: Any, memory: Any, seen: Any, scratch: Any) -> None:
     seen.root_pos = obs.root_pos
     seen.root_pos[2] = (obs.root_pos[2] - height) * ground[2, 2]
     seen.joint_pos, seen.joint_vel, seen.foot_force = obs.joint_pos, obs.joint_vel, obs.foot_force
+
+
+@inlined
+def feel_slides(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) -> None:
+    """Lowers the friction that is assumed while a foot slides, and lets it return slowly. Forces well within the
+    friction cone move no foot: one that moves under them rolls, lands or bends. A robot that catches itself needs all
+    of the forces that it can get."""
+    if memory.friction == 0.0:
+        memory.friction = config.mu
+    if config.friction_time == 0.0:
+        return
+    slides = False
+    for leg in range(4):
+        force = memory.force[leg]
+        near = np.hypot(force[0], force[1]) > NEAR_CONE * memory.friction * force[2]
+        stands = memory.recovering == 0 and memory.stance[leg] == 1 and memory.since_switch[leg] > SETTLED_S
+        speed = 0.0
+        if stands and near and obs.foot_force[leg, 2] > SLIDE_LOAD * config.contact_threshold:
+            speed = _sliding_speed(model, obs, scratch, leg)
+        memory.slid[leg] = memory.slid[leg] + config.dt * speed if speed > SLIDE_M_S else 0.0
+        slides = slides or memory.slid[leg] > SLIDE_M
+    if slides:
+        memory.friction = max(
+            memory.friction * (1.0 - config.dt / config.friction_time), min(LEAST_FRICTION, config.mu)
+        )
+    else:
+        memory.friction += config.dt / (RETURNS * config.friction_time) * (config.mu - memory.friction)
+
+
+@inlined
+def _sliding_speed(model: Any, obs: Any, scratch: Any, leg: int) -> float:
+    """Horizontal speed, m/s, of the point of a foot's sphere that is on the ground: the foot may roll."""
+    q, dq = obs.joint_pos[3 * leg : 3 * leg + 3], obs.joint_vel[3 * leg : 3 * leg + 3]
+    foot, turning, v, up = scratch.feet[leg], scratch.ang_vel_b, scratch.vector, scratch.rotation[2]
+    leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
+    v[0], v[1], v[2] = cross(turning[0], turning[1], turning[2], foot[0], foot[1], foot[2])
+    pitching = dq[1] + dq[2]
+    wx, wy, wz = turning[0] + dq[0], turning[1] + np.cos(q[0]) * pitching, turning[2] + np.sin(q[0]) * pitching
+    rx, ry, rz = cross(wx, wy, wz, up[0], up[1], up[2])
+    v[0] += scratch.lin_vel_b[0] - model.foot_radius * rx
+    v[1] += scratch.lin_vel_b[1] - model.foot_radius * ry
+    v[2] += scratch.lin_vel_b[2] - model.foot_radius * rz
+    for k in range(3):
+        for a in range(3):
+            v[k] += scratch.jacobian[k, a] * dq[a]
+    times(scratch.rotation, v, scratch.change)
+    return np.hypot(scratch.change[0], scratch.change[1])
 
 
 @inlined

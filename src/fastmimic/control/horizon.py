@@ -112,7 +112,7 @@ def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
     # friction and bounds
     for i in range(k):
         qp.lower[i], qp.upper[i] = config.min_force / weight, config.max_force / weight
-    friction_rows(config, k, qp)
+    friction_rows(config, config.mu, k, qp)
     return k
 
 

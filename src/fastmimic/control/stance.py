@@ -120,14 +120,14 @@ def force_column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out
 
 
 @inlined
-def friction_rows(config: Any, k: int, qp: Any) -> int:
+def friction_rows(config: Any, mu: float, k: int, qp: Any) -> int:
     """Writes the friction pyramids of k forces below the k simple bounds on f_z; returns how many rows, 4 k or 8 k."""
     n, row = 3 * k, 0
     qp.rows[: config.friction_sides * k * n] = 0.0
     for first in range(0, config.friction_sides, 4):
         for i in range(k):
             for side in range(first, first + 4):  # the force along a side's normal − μ f_z ≤ 0
-                qp.rows[row * n + i] = -config.mu
+                qp.rows[row * n + i] = -mu
                 qp.rows[row * n + k + 2 * i], qp.rows[row * n + k + 2 * i + 1] = _SIDES[side, 0], _SIDES[side, 1]
                 qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
                 row += 1
@@ -175,7 +175,7 @@ def stance_forces(config: Any, model: Any, gain: Any, memory: Any, scratch: Any,
             qp.hessian[j * n + i] = h
     for i in range(k):
         qp.lower[i], qp.upper[i] = config.min_force, config.max_force
-    row = friction_rows(config, k, qp)
+    row = friction_rows(config, memory.friction, k, qp)
     solved = solve_qp(qp, n, k + row, k) == OPTIMAL
     for i in range(n):
         solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
