@@ -153,16 +153,16 @@ def _write(obs: Any, memory: Any, seen: Any, scratch: Any) -> None:
 def feel_slides(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) -> None:
     """Lowers the friction that is assumed while a foot slides, and lets it return slowly. Forces well within the
     friction cone move no foot: one that moves under them rolls, lands or bends. A robot that catches itself needs all
-    of the forces that it can get."""
+    of the forces that it can get, and on rough ground feet slide off edges, whatever the friction."""
     if memory.friction == 0.0:
         memory.friction = config.mu
     if config.friction_time == 0.0:
         return
-    slides = False
+    slides, level = False, memory.recovering == 0 and memory.roughness < SMALL_HEIGHT_M
     for leg in range(4):
         force = memory.force[leg]
         near = np.hypot(force[0], force[1]) > NEAR_CONE * memory.friction * force[2]
-        stands = memory.recovering == 0 and memory.stance[leg] == 1 and memory.since_switch[leg] > SETTLED_S
+        stands = level and memory.stance[leg] == 1 and memory.since_switch[leg] > SETTLED_S
         speed = 0.0
         if stands and near and obs.foot_force[leg, 2] > SLIDE_LOAD * config.contact_threshold:
             speed = _sliding_speed(model, obs, scratch, leg)
