@@ -36,7 +36,7 @@ LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "tran
 CHOICE = FinalChoice(candidates=2, episodes=2, robots=2, duration_s=0.4)
 """How a search chooses its result here: quickly."""
 GAITS = gait_field.Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5))
-"""The gaits of a steered robot here: few, those that the tests keep in the cache."""
+"""The gaits of a steered robot here: few, those of the tests."""
 SHELL = re.compile(r"[|&;<>$`(){}\[\]*]|^(?!fastmimic )", re.MULTILINE)
 """In a bash block: more than commands of `fastmimic`, one a line."""
 

@@ -53,15 +53,20 @@ def test_a_robot_that_does_not_feel_a_slope_falls(robot: Robot) -> None:
     assert not walked(robot, "slope=17", ControllerConfig()).scorer.tallies["fallen"].any()
 
 
+def held(robot: Robot, name: str, config: ControllerConfig) -> tuple[ClosedLoop, np.ndarray]:
+    """Robots at the start of a motion, and their observation, to be changed."""
+    motion = load_motion(name, robot)
+    loop = ClosedLoop(robot, motion, ROBOTS, config)
+    loop.place(starts(motion.n_samples))
+    return loop, loop.simulation.observation.copy()
+
+
 @pytest.mark.parametrize("reaches", [True, False])
 def test_a_foot_that_should_stand_and_finds_no_ground_is_pressed_down(robot: Robot, reaches: bool) -> None:
     """Little is planned for the feet of a robot that rises fast."""
     config = ControllerConfig()
     config = replace(config, gait=replace(config.gait, reach_force=0.2 if reaches else 0.0))
-    motion = load_motion("walk", robot)
-    loop = ClosedLoop(robot, motion, ROBOTS, config)
-    loop.place(starts(motion.n_samples))
-    observation = loop.simulation.observation.copy()
+    loop, observation = held(robot, "walk", config)
     observation["foot_force"] = 0.0
     observation["lin_vel"][:, 2] = 3.0
     for _ in range(30):
@@ -73,15 +78,16 @@ def test_a_foot_that_should_stand_and_finds_no_ground_is_pressed_down(robot: Rob
     assert knees.mean() > 3.0 if reaches else knees.mean() < 1.0
 
 
-@pytest.mark.parametrize("feels", [True, False])
-def test_a_robot_whose_feet_slide_assumes_less_friction(robot: Robot, feels: bool) -> None:
-    """A trotting robot that moves sideways as a whole, and later does not."""
+@pytest.mark.parametrize(("time_s", "roughness_m", "feels"), [(0.1, 0.0, True), (0.0, 0.0, False), (0.1, 0.03, False)])
+def test_a_robot_whose_feet_slide_assumes_less_friction(
+    robot: Robot, time_s: float, roughness_m: float, feels: bool
+) -> None:
+    """A trotting robot that moves sideways as a whole, and later does not; on rough ground feet slide off edges."""
     config = ControllerConfig()
-    config = replace(config, stance=replace(config.stance, friction_time=0.1 if feels else 0.0))
-    motion = load_motion("trot", robot)
-    loop = ClosedLoop(robot, motion, ROBOTS, config)
-    loop.place(starts(motion.n_samples))
-    memory, observation = loop.controller.memory, loop.simulation.observation.copy()
+    stance, gait = replace(config.stance, friction_time=time_s), replace(config.gait, follow_ground=False)
+    loop, observation = held(robot, "trot", replace(config, stance=stance, gait=gait))
+    memory = loop.controller.memory
+    memory["roughness"] = roughness_m
     observation["foot_force"][..., 2] = 0.5 * robot.mass * GRAVITY
     observation["joint_vel"] = 0.0
     observation["lin_vel"] = (0.0, 0.7, 0.0)
