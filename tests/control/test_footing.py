@@ -61,23 +61,6 @@ def held(robot: Robot, name: str, config: ControllerConfig) -> tuple[ClosedLoop,
     return loop, loop.simulation.observation.copy()
 
 
-@pytest.mark.parametrize("reaches", [True, False])
-def test_a_foot_that_should_stand_and_finds_no_ground_is_pressed_down(robot: Robot, reaches: bool) -> None:
-    """Little is planned for the feet of a robot that rises fast."""
-    config = ControllerConfig()
-    config = replace(config, gait=replace(config.gait, reach_force=0.2 if reaches else 0.0))
-    loop, observation = held(robot, "walk", config)
-    observation["foot_force"] = 0.0
-    observation["lin_vel"][:, 2] = 3.0
-    for _ in range(30):
-        command = loop.controller.step(observation, loop.clocks)
-    memory = loop.controller.memory
-    idle = (memory["stance"] == 1) & (memory["force"][..., 2] < 0.05 * robot.mass * GRAVITY)
-    assert idle.any(axis=1).all()
-    knees = np.abs(command["torque"].reshape(ROBOTS, 4, 3)[..., 2])[idle]
-    assert knees.mean() > 3.0 if reaches else knees.mean() < 1.0
-
-
 @pytest.mark.parametrize(("time_s", "roughness_m", "feels"), [(0.1, 0.0, True), (0.0, 0.0, False), (0.1, 0.03, False)])
 def test_a_robot_whose_feet_slide_assumes_less_friction(
     robot: Robot, time_s: float, roughness_m: float, feels: bool

@@ -1,6 +1,5 @@
 """Every transition of a leg's state machine, step by step at 500 Hz."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +7,7 @@ import pytest
 from control.bodies import body
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.control.config import ControllerConfig, GaitConfig, pack_config
-from fastmimic.control.stance import plan_leg, pressing_force
+from fastmimic.control.stance import plan_leg
 from fastmimic.robot.state import MEMORY
 
 WEIGHT = 100.0  # N
@@ -20,7 +19,6 @@ SETTINGS = GaitConfig(
     release_threshold=0.02,
     min_switch_time=0.1,
     early_takeoff_time=0.04,
-    reach_force=0.25,
 )
 
 pytestmark = pytest.mark.nojit
@@ -56,10 +54,6 @@ class Leg:
     @property
     def stance(self) -> bool:
         return bool(self.memory["stance"][0, self.INDEX])
-
-    @property
-    def pressing(self) -> float:
-        return pressing_force(self.config[0], self.memory[0], self.INDEX)
 
     @property
     def early_touchdowns(self) -> int:
@@ -235,31 +229,3 @@ def test_legs_do_not_share_their_memory() -> None:
     for name in ("stance", "unloaded_time", "was_loaded", "early"):
         others = np.delete(leg.memory[name][0], leg.INDEX)
         np.testing.assert_array_equal(others, 0)
-
-
-class TestPressing:
-    def test_a_foot_that_finds_no_ground_presses_with_a_least_force(self) -> None:
-        leg = swinging_for(0.2)
-        forces = []
-        for _ in range(20):
-            leg.step(wanted=True, force=FREE)
-            forces.append(leg.pressing)
-        first = forces.index(25.0)
-        assert first * DT == pytest.approx(0.01, abs=DT)
-        assert forces == first * [0.0] + (20 - first) * [25.0]
-
-    def test_what_is_planned_counts_where_it_is_more_or_the_foot_stands(self) -> None:
-        leg = swinging_for(0.2)
-        leg.run(0.05, wanted=True, force=FREE)
-        leg.memory["force"][0, leg.INDEX, 2] = 40.0
-        assert leg.pressing == 40.0
-        leg.memory["force"][0, leg.INDEX, 2] = 3.0
-        assert leg.pressing == 25.0
-        leg.step(wanted=True, force=BETWEEN)
-        assert leg.pressing == 3.0
-
-    @pytest.mark.parametrize("settings", [replace(SETTINGS, planner="schedule"), replace(SETTINGS, reach_force=0.0)])
-    def test_not_where_the_schedule_alone_counts_or_nothing_is_asked_for(self, settings: GaitConfig) -> None:
-        leg = Leg(stance=True, settings=settings)
-        leg.run(0.2, wanted=True, force=FREE)
-        assert leg.pressing == 0.0

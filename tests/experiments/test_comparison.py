@@ -172,6 +172,7 @@ class TestRows:
         # nothing goes wrong in so short and smooth an episode, and fewer basis functions are no other controller
         same = {
             "",
+            "no-state-machine",
             "no-recovery-steps",
             "no-step-timing",
             "10-basis-functions",

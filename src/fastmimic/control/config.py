@@ -49,7 +49,6 @@ class GaitConfig:
     min_switch_time: float = 0.1
     early_takeoff_time: float = 0.08
     early_touchdown_from: float = 0.5
-    reach_force: float = 0.2
     step_reach: tuple[float, float] = (0.3, 0.15)
     least_step_time: float = 0.05
     most_haste: float = 0.5

@@ -9,7 +9,6 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import transposed_times, turned, turned_back
 from fastmimic.control.footing import lift_over
-from fastmimic.control.stance import pressing_force
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
@@ -27,9 +26,7 @@ def stance_leg(
     q = obs.joint_pos[j : j + 3]
     leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
     force_b, v_ref_b, w_ref_b = scratch.force_b, scratch.ref_lin_vel_b, scratch.ref_ang_vel_b
-    vector = scratch.vector
-    vector[0], vector[1], vector[2] = memory.force[leg, 0], memory.force[leg, 1], pressing_force(config, memory, leg)
-    transposed_times(scratch.rotation, vector, force_b)
+    transposed_times(scratch.rotation, memory.force[leg], force_b)
     transposed_times(scratch.jacobian, force_b, scratch.torque)
     # the contact is below the sphere's centre: moment of the force about the centre, (−r z) × f in the body frame
     zx, zy, zz = scratch.rotation[2, 0], scratch.rotation[2, 1], scratch.rotation[2, 2]

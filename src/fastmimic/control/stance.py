@@ -4,8 +4,7 @@
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
 schedule says so (take-off), or when it has been unloaded for a while in scheduled stance (early take-off). It enters
 stance when the schedule says so (touch-down), or when it meets the ground late in a scheduled swing
-(early touch-down). Two switches of a leg are at least `min_switch_time` apart. A leg in stance that finds no ground
-presses down with a least force.
+(early touch-down). Two switches of a leg are at least `min_switch_time` apart.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
@@ -22,7 +21,6 @@ from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 MAX_VARIABLES = 12
 MAX_CONSTRAINTS = 4 + 32
 _SIDES = np.array([[-1, 0], [1, 0], [0, -1], [0, 1], *(np.sqrt(0.5) * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]))])
-UNLOADED_S = 0.01  # in which a foot that stands has met the ground
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
 
 
@@ -68,17 +66,6 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
             memory.early_touchdowns += 1
         _switch(memory, leg, 1)
     return False
-
-
-@inlined
-def pressing_force(config: Any, memory: Any, leg: int) -> float:
-    """Vertical force, N, with which a standing leg presses: the planned one, and at least `reach_force` where its foot
-    finds no ground, or the foot would hover over a hollow for as long as little is planned for it."""
-    planned = float(memory.force[leg, 2])
-    without = min(memory.unloaded_time[leg], memory.since_switch[leg])
-    if config.planner_full == 1 and without >= UNLOADED_S:
-        return max(planned, config.reach_force)
-    return planned
 
 
 @inlined
