@@ -2,6 +2,7 @@
 
 import heapq
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -155,7 +156,7 @@ class LinkFaults:
     def __post_init__(self) -> None:
         check(self, "link: ")
 
-    @property
+    @cached_property
     def perfect(self) -> bool:
         """Whether messages are at most delayed."""
         return self == LinkFaults(latency_s=self.latency_s, seed=self.seed)

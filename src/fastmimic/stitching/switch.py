@@ -132,7 +132,9 @@ def _best_of(
         for k, after in into.items():
             v_b = b.velocity[k % b.n]
             half = _half_transition(v_b - v_a, stride, rate_hz)
-            passing = _Passing(v_a[:2] / rate_hz, v_b[:2] / rate_hz, half, sweep, linger_s * rate_hz)
+            passing = _Passing(
+                (v_a[:2] / rate_hz).tolist(), (v_b[:2] / rate_hz).tolist(), half, sweep, linger_s * rate_hz
+            )
             merged = [_merge(x, y, stride, passing) for x, y in zip(before, after, strict=True)]
             change = v_b[:2] - v_a[:2]
             cost = sum(c for c, _ in merged) + _SPEED_CHANGE * float(change @ change)
@@ -160,8 +162,8 @@ class _Passing:
     """The trunk's travel from one velocity (2,), m a sample, to another within ± `half` samples. `sweep`, m, is its
     travel over a foot in reach, and `linger` the samples near the foothold before and after the stance."""
 
-    before: Array
-    after: Array
+    before: list[float]
+    after: list[float]
     half: int
     sweep: float
     linger: float
@@ -188,24 +190,29 @@ def _merge(before: list[Stance], after: list[Stance], stride: float, passing: _P
     for x in before:
         for y in after:
             start, end = x.touch_down, y.lift_off
-            duration, middle = end - start, 0.5 * (start + end)
+            duration, lasted, lasts = end - start, x.duration, y.duration
             if duration <= 0:
                 continue
-            if max(x.duration, y.duration) > _FOREVER * stride:  # it stands throughout one of the motions
-                start, end = (y.touch_down, y.lift_off) if x.duration > y.duration else (x.touch_down, x.lift_off)
-                cost = _OFF_CENTRE * (0.5 * (start + end) / stride) ** 2
-            else:
-                usual = 0.5 * (min(x.duration, stride) + min(y.duration, stride))
-                cost = ((duration - usual) / usual) ** 2 + _OFF_CENTRE * (middle / stride) ** 2
-                own = min(
-                    x.duration * math.hypot(*passing.before.tolist()), y.duration * math.hypot(*passing.after.tolist())
-                )
+            if lasted > _FOREVER * stride or lasts > _FOREVER * stride:  # it stands throughout one of the motions
+                start, end = (y.touch_down, y.lift_off) if lasted > lasts else (x.touch_down, x.lift_off)
+                cost = _off_centre(start, end, stride)
+            elif (cost := _off_centre(start, end, stride)) < best[0]:
+                usual = 0.5 * (min(lasted, stride) + min(lasts, stride))
+                cost = ((duration - usual) / usual) ** 2 + cost
+                if cost >= best[0]:
+                    continue
+                own = min(lasted * math.hypot(*passing.before), lasts * math.hypot(*passing.after))
                 cost += _OUT_OF_REACH * passing.excess(start, end, own)
-                if duration < _SHORTEST * min(x.duration, y.duration):
+                if duration < _SHORTEST * min(lasted, lasts):
                     cost += _FORBIDDEN
             if cost < best[0]:
                 best = (cost, Span(start, end))
     return best
+
+
+def _off_centre(start: int, end: int, stride: float) -> float:
+    """Cost of a span whose middle is not the moment of the switch."""
+    return _OFF_CENTRE * (0.5 * (start + end) / stride) ** 2
 
 
 def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> tuple[float, Span]:
@@ -213,11 +220,13 @@ def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> t
     for x, following in pairwise(before):
         for previous, y in pairwise(after):
             start, end = x.lift_off, y.touch_down
+            if end <= start or (cost := _off_centre(start, end, stride)) >= best[0]:
+                continue
             usual = following.touch_down - x.lift_off, y.touch_down - previous.lift_off
             if end - start < _SHORTEST_SWING * max(usual):  # the joints' speed
                 continue
             mean = 0.5 * sum(usual)
-            cost = ((end - start - mean) / mean) ** 2 + _OFF_CENTRE * (0.5 * (start + end) / stride) ** 2
+            cost = ((end - start - mean) / mean) ** 2 + cost
             if cost < best[0]:
                 best = (cost, Span(start, end, stands=False))
     return best
