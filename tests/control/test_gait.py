@@ -1,6 +1,5 @@
 """Every transition of a leg's state machine, step by step at 500 Hz."""
 
-
 import numpy as np
 import pytest
 

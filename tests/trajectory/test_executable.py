@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fastmimic.base.arrays import stretches
+from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
@@ -20,7 +20,8 @@ from fastmimic.robot import Robot
 from fastmimic.trajectory import solved
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import Executable, nearest_executable
-from fastmimic.trajectory.program import Program
+from fastmimic.trajectory.ipopt import DIVERGED
+from fastmimic.trajectory.program import Program, Solution
 
 
 @pytest.fixture(scope="module")
@@ -153,6 +154,26 @@ def test_what_no_motion_keeps_is_refused_with_its_limit(a1: Robot, animal: Motio
     weak = replace(a1, torque_limit=0.1 * a1.torque_limit)
     with pytest.raises(MotionError, match=r"no motion of a1 near 'turn' keeps the limits: .* by .* at \d"):
         nearest_executable(weak, animal, TrajectoryConfig(iterations=2))
+
+
+@pytest.mark.parametrize("diverges", [True, False])
+def test_no_margin_helps_where_the_solver_diverges_with_all_and_without(
+    a1: Robot, animal: Motion, monkeypatch: pytest.MonkeyPatch, diverges: bool
+) -> None:
+    solve, tried = Program.solve, list[tuple[float, float]]()
+
+    def diverging(problem: Program, start: Array | None = None, first: int = 0) -> Solution:
+        tried.append((problem.config.clearance_share, problem.config.friction))
+        found = solve(problem, start, first)
+        return replace(found, status=DIVERGED) if len(tried) == 1 or diverges else found
+
+    monkeypatch.setattr(Program, "solve", diverging)
+    weak, config = replace(a1, torque_limit=0.1 * a1.torque_limit), TrajectoryConfig(iterations=2)
+    with pytest.raises(MotionError, match="keeps the limits"):
+        nearest_executable(weak, animal, config)
+    whole, least = (config.clearance_share, config.friction), (0.3, 0.5)
+    in_order = [whole, (0.3, config.friction), least]
+    assert tried == ([whole, least] if diverges else [whole, least, *in_order])
 
 
 def test_a_passage_that_does_not_repeat(a1: Robot) -> None:

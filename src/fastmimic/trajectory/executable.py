@@ -162,22 +162,31 @@ def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | N
 def _within_limits(problem: Program, margins: dict[str, float], start: Array | None = None) -> Executable:
     """Of a problem with these margins; those of `_RETRIES` are given up while it has no solution, a long passage's in
     shorter windows and from the window before the one that had none: what keeps the margins keeps fewer of them, too.
-    With a first guess (n,), which is a solution with other margins, none is given up."""
+    Where the solver diverges with all and without those of the last, none of the others helps. With a first guess (n,),
+    which is a solution with other margins, none is given up."""
     long = not problem.modes.periodic and problem.motion.period_s > _SHORTER["window_s"]
     retries = () if start is not None else _RETRIES
     first = 0
     for given_up in ({}, *({**given_up, **_SHORTER} if long else given_up for given_up in retries)):
         changed = {**margins, **given_up}
-        program = replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
+        program = _with_margins(problem, changed)
         solution = program.solve(start, first)
         if solution.converged:
             return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
         if solution.so_far is not None:
             start, first = solution.so_far, solution.first
+        elif solution.diverged and not given_up and retries:
+            program = _with_margins(problem, {**margins, **retries[-1]})
+            if (solution := program.solve()).diverged:
+                break
     raise MotionError(
         f"no motion of {program.robot.name} near '{program.motion.name}' keeps the limits: {_worst(program, solution)}"
         f" ({solution.status} after {solution.iterations} iterations)"
     )
+
+
+def _with_margins(problem: Program, changed: dict[str, float]) -> Program:
+    return replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
 
 
 def _figures(program: Program, solution: Solution, margins: dict[str, float]) -> ExecutableFigures:

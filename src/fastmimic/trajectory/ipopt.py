@@ -15,7 +15,9 @@ from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import N_ROWS, N_VARIABLES, NodeFunctions
 from fastmimic.trajectory.tape import on_nodes
 
-_DIVERGED: Final = 1e9
+DIVERGED: Final = "User_Requested_Stop"
+"""IPOPT's word for a solver that `_MOST_MULTIPLIER` stops."""
+_MOST_MULTIPLIER: Final = 1e9
 """Where the multipliers of the constraints grow without bound, no solution is near, and the solver would go on for
 minutes. With a solution the greatest was below 2000 for cycles, and up to 2e7 on the way to it for passages."""
 
@@ -96,7 +98,7 @@ def make_solver(
     watch = _computed(
         "diverging",
         {name: sizes.get(name, ca.Sparsity(0, 0)) for name in ca.nlpsol_out()},
-        {"stop": (one, lambda x, f, g, lam_x, lam_g: np.abs(lam_g).max() > _DIVERGED)},
+        {"stop": (one, lambda x, f, g, lam_x, lam_g: np.abs(lam_g).max() > _MOST_MULTIPLIER)},
     )
     options = {
         **computed,

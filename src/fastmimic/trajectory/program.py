@@ -23,6 +23,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes, runs_of
+from fastmimic.trajectory.ipopt import DIVERGED
 from fastmimic.trajectory.margins import capture_margins, heaviest
 from fastmimic.trajectory.node import (
     GIVEN,
@@ -89,6 +90,11 @@ class Solution:
     use: dict[str, tuple[float, float]]
     cost: float
     variables: Array
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the solver was stopped as it went away from any solution."""
+        return self.status == DIVERGED
 
 
 @dataclass(frozen=True, eq=False)
