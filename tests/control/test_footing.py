@@ -11,6 +11,7 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.robot import Robot
+from fastmimic.robot.kinematics import foot_positions
 from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions, parse_terrain
 
@@ -59,6 +60,24 @@ def held(robot: Robot, name: str, config: ControllerConfig) -> tuple[ClosedLoop,
     loop = ClosedLoop(robot, motion, ROBOTS, config)
     loop.place(starts(motion.n_samples))
     return loop, loop.simulation.observation.copy()
+
+
+@pytest.mark.parametrize(
+    ("force", "roughness_m", "lowered_m"), [(0.0, 0.05, 0.6 * 0.002), (0.0, 0.0, 0.0), (100.0, 0.05, 0.0)]
+)
+def test_a_foot_that_should_stand_and_finds_no_ground_is_lowered_where_it_is_rough(
+    robot: Robot, force: float, roughness_m: float, lowered_m: float
+) -> None:
+    config, found = ControllerConfig(), []
+    for speed in (0.0, 0.6):
+        loop, observation = held(robot, "walk", replace(config, gait=replace(config.gait, reach_speed=speed)))
+        observation["foot_force"][..., 2] = force
+        for _ in range(10):
+            command = loop.controller.step(observation, loop.clocks)
+            loop.controller.memory["roughness"] = roughness_m
+        found.append(foot_positions(robot, command["joint_pos"])[loop.controller.memory["stance"] == 1])
+    height, lower = (feet[:, 2] for feet in found)
+    np.testing.assert_allclose(height - lower, lowered_m, atol=1e-4)
 
 
 @pytest.mark.parametrize(("time_s", "roughness_m", "feels"), [(0.1, 0.0, True), (0.0, 0.0, False), (0.1, 0.03, False)])

@@ -55,6 +55,7 @@ class GaitConfig:
     follow_ground: bool = True
     ground_time: float = 0.3
     rough_lift: float = 3.0
+    reach_speed: float = 0.6
     recovery_steps: bool = True
     recovery_reach: tuple[float, float, float] = (0.33, 0.22, 0.055)
     recovery_top_speed: float = 1.8

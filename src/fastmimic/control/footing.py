@@ -27,6 +27,7 @@ NEAR_CONE: Final = 0.8  # share of the assumed friction from which a force can m
 SETTLED_S: Final = 0.03  # after a touch-down
 LEAST_FRICTION: Final = 0.2  # that is assumed
 RETURNS: Final = 50.0  # times as slowly as it falls
+UNLOADED_S: Final = 0.01  # in which a foot that stands has met the ground
 RISING_M: Final = 0.03  # height of a foot from which it is lifted all of what it has to be
 
 
@@ -194,6 +195,14 @@ def _sliding_speed(model: Any, obs: Any, scratch: Any, leg: int) -> float:
             v[k] += scratch.jacobian[k, a] * dq[a]
     times(scratch.rotation, v, scratch.change)
     return np.hypot(scratch.change[0], scratch.change[1])
+
+
+@inlined
+def reaching_speed(config: Any, memory: Any, leg: int) -> float:
+    """Speed, m/s, with which a standing foot that finds no ground is lowered where the ground is rough."""
+    if min(memory.unloaded_time[leg], memory.since_switch[leg]) < UNLOADED_S:
+        return 0.0
+    return _beyond(memory.roughness, SMALL_HEIGHT_M) * config.reach_speed
 
 
 @inlined

@@ -8,7 +8,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import transposed_times, turned, turned_back
-from fastmimic.control.footing import lift_over
+from fastmimic.control.footing import lift_over, reaching_speed
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
@@ -46,6 +46,7 @@ def stance_leg(
         dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
         dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
         dz = v_ref_b[2] + turning * (w_ref_b[0] * foot[1] - w_ref_b[1] * foot[0])
+        dz += reaching_speed(config, memory, leg)
         dt = config.dt
         a, h, k, _ = leg_inverse(model.geometry[leg], foot[0] - dx * dt, foot[1] - dy * dt, foot[2] - dz * dt)
     command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
