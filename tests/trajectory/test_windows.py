@@ -6,27 +6,33 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from fastmimic.base.arrays import Array
+from fastmimic.base.errors import MotionError
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import nearest_executable
-from fastmimic.trajectory.program import Program
+from fastmimic.trajectory.ipopt import DIVERGED
+from fastmimic.trajectory.program import Program, Solution
 from fastmimic.trajectory.windows import windows_of
 
 SHORT = TrajectoryConfig(window_s=0.4, overlap_s=0.15)
 
 
+def trotting(a1: Robot, cycles: int) -> Motion:
+    """Cycles of a trot, done once."""
+    clip = generate("trot")
+    travel = clip.points_w[-1] - clip.points_w[0] + clip.points_w[-1] - clip.points_w[-2]
+    step = travel.mean(axis=0) * np.array([1.0, 1.0, 0.0])
+    points = np.concatenate([clip.points_w + k * step for k in range(cycles)])
+    return retarget(replace(clip, points_w=points), a1, cycle=False, executable=False)[0]
+
+
 @pytest.fixture(scope="module")
 def passage(a1: Robot) -> Motion:
-    """Two cycles of a trot, done once."""
-    clip = generate("trot")
-    step = np.array([*(clip.points_w[-1] - clip.points_w[-2]).mean(axis=0)[:2], 0.0])
-    again = clip.points_w + (clip.points_w[-1] - clip.points_w[0]).mean(axis=0) * np.array([1.0, 1.0, 0.0]) + step
-    return retarget(replace(clip, points_w=np.concatenate([clip.points_w, again])), a1, cycle=False, executable=False)[
-        0
-    ]
+    return trotting(a1, 2)
 
 
 def test_windows_overlap_and_cover_the_whole(a1: Robot, passage: Motion) -> None:
@@ -42,6 +48,21 @@ def test_windows_overlap_and_cover_the_whole(a1: Robot, passage: Motion) -> None
     assert len(windows_of(program.modes, program.animal_steps, TrajectoryConfig())) == 1
     cycle = Program(a1, retarget(generate("walk"), a1, executable=False)[0], SHORT)
     assert len(windows_of(cycle.modes, cycle.animal_steps, SHORT)) == 1
+
+
+def test_a_long_passage_that_diverges_in_one_piece_is_tried_in_shorter_windows(
+    a1: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solve, tried = Program.solve, list[tuple[float, float]]()
+
+    def diverging(problem: Program, start: Array | None = None, first: int = 0) -> Solution:
+        tried.append((problem.config.window_s, problem.config.friction))
+        return replace(solve(problem, start, first), status=DIVERGED)
+
+    monkeypatch.setattr(Program, "solve", diverging)
+    with pytest.raises(MotionError, match="keeps the limits"):
+        nearest_executable(a1, trotting(a1, 5), TrajectoryConfig(iterations=1))
+    assert tried == [(4.0, 0.42), (2.0, 0.42), (2.0, 0.42), (2.0, 0.5)]
 
 
 def test_the_whole_keeps_every_limit_and_is_near_that_of_one_piece(a1: Robot, passage: Motion) -> None:

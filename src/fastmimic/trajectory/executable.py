@@ -162,8 +162,8 @@ def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | N
 def _within_limits(problem: Program, margins: dict[str, float], start: Array | None = None) -> Executable:
     """Of a problem with these margins; those of `_RETRIES` are given up while it has no solution, a long passage's in
     shorter windows and from the window before the one that had none: what keeps the margins keeps fewer of them, too.
-    Where the solver diverges with all and without those of the last, none of the others helps. With a first guess (n,),
-    which is a solution with other margins, none is given up."""
+    Where the solver diverges both with all of them and with those of the last given up, none between helps, but for a
+    long passage's shorter windows. With a first guess (n,), a solution with other margins, none is given up."""
     long = not problem.modes.periodic and problem.motion.period_s > _SHORTER["window_s"]
     retries = () if start is not None else _RETRIES
     first = 0
@@ -175,7 +175,7 @@ def _within_limits(problem: Program, margins: dict[str, float], start: Array | N
             return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
         if solution.so_far is not None:
             start, first = solution.so_far, solution.first
-        elif solution.diverged and not given_up and retries:
+        elif solution.diverged and not given_up and retries and not long:
             program = _with_margins(problem, {**margins, **retries[-1]})
             if (solution := program.solve()).diverged:
                 break
