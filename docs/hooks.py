@@ -53,13 +53,15 @@ def describe(kind: type) -> list[tuple[str, str, str, str, str]]:
 
 
 def _verbs() -> str:
-    from fastmimic.cli import VERBS
+    from fastmimic.cli import GROUPS
 
-    return "\n\n".join(
-        f"## {name}\n\n{verb.about[0].upper()}{verb.about[1:]}.\n\n"
-        + "\n\n".join(f"```text\n{_help(name, *action)}\n```" for action in ([], *ACTIONS.get(name, ())))
-        for name, verb in VERBS.items()
-    )
+    parts = []
+    for group, verbs in GROUPS.items():
+        parts.append(f"## {group[0].upper()}{group[1:]}")
+        for name, verb in verbs.items():
+            parts.append(f"### {name}\n\n{verb.about[0].upper()}{verb.about[1:]}.")
+            parts += [f"```text\n{_help(name, *action)}\n```" for action in ([], *ACTIONS.get(name, ()))]
+    return "\n\n".join(parts)
 
 
 def _help(*words: str) -> str:

@@ -11,6 +11,7 @@ foot sphere; angular velocities in the world frame; float64.
     result.motion.save("trot.npz")
 """
 
+import sys
 from typing import Any
 
 from fastmimic.learning import register_when_imported as _register_when_imported
@@ -29,6 +30,25 @@ def _public() -> dict[str, tuple[str, str]]:
 
 
 _register_when_imported()  # `gymnasium.make("fastmimic/Imitation-v0")`, without importing it
+
+
+def _show_in_notebooks() -> None:
+    """Has IPython show motions and results with figures and video, if this is a notebook."""
+    from_shell = getattr(sys.modules.get("IPython"), "get_ipython", None)
+    shell = from_shell() if from_shell is not None else None
+    if shell is None:
+        return
+
+    def as_html(shown: Any) -> str:
+        from fastmimic.report.notebook import as_html
+
+        return as_html(shown)
+
+    for name in ("Motion", "Evaluation", "Imitation", "Stitching"):
+        shell.display_formatter.formatters["text/html"].for_type_by_name(*_public()[name], as_html)
+
+
+_show_in_notebooks()
 
 
 def __getattr__(name: str) -> Any:

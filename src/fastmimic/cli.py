@@ -30,17 +30,22 @@ class Verb(NamedTuple):
     about: str
 
 
-VERBS: Final = {
-    name: Verb(*entry)
-    for name, entry in json.loads(resources.files("fastmimic").joinpath("verbs.json").read_text("utf-8")).items()
-}
+_GROUPS: Final = json.loads(resources.files("fastmimic").joinpath("verbs.json").read_text("utf-8"))
+GROUPS: Final = {about: {name: Verb(*entry) for name, entry in verbs.items()} for about, verbs in _GROUPS.items()}
+VERBS: Final = {name: verb for verbs in GROUPS.values() for name, verb in verbs.items()}
+
+
+def _listed(about: str, verbs: Mapping[str, Verb]) -> str:
+    lines = "".join(f"  {name:10}{verb.about}\n" for name, verb in verbs.items())
+    return f"{about[0].upper()}{about[1:]}:\n{lines}\n"
+
 
 HELP: Final = f"""\
 usage: fastmimic VERB ... [-h] [--version]
 
 Turns an animal's motion into one that a real quadruped can execute.
 
-{"".join(f"  {name:10}{verb.about}{chr(10)}" for name, verb in VERBS.items())}
+{"".join(_listed(*group) for group in GROUPS.items())}\
 A MOTION is a built-in gait such as trot, a recording such as dog:pace (see 'fastmimic motions'), or a file.
 'fastmimic VERB --help' lists the options of a verb. First try: fastmimic imitate trot
 """

@@ -27,6 +27,9 @@ def test_help_lists_every_verb(run: Run) -> None:
     done = run("--help")
     assert done.status == 0
     assert all(f"  {verb}" in done.out and what.about in done.out for verb, what in cli.VERBS.items())
+    groups = [line for line in done.out.splitlines() if line.endswith(":") and not line.startswith(" ")]
+    assert groups[0] == "Make a motion:"
+    assert len(groups) == len(cli.GROUPS)
     assert done.err == ""
 
 
@@ -65,7 +68,7 @@ def test_every_verb_of_the_table_is_there(verb: str, run: Run) -> None:
     ("arguments", "said"),
     [
         (["imitat", "trot"], "unknown verb 'imitat'; did you mean 'imitate'?"),
-        (["xyz"], "unknown verb 'xyz'; the verbs are imitate, evaluate"),
+        (["xyz"], "unknown verb 'xyz'; the verbs are imitate, retarget"),
         (["--verbose"], "unknown option '--verbose'"),
         (["imitate"], "MOTION"),
         (["imitate", "trot", "pace"], "pace"),

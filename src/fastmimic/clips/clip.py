@@ -82,6 +82,10 @@ class Clip:
     body_w: NDArray[np.float64] | None = None
     skeleton: Skeleton = KEYPOINTS
 
+    def __repr__(self) -> str:
+        n, rate = len(self.points_w), self.rate_hz
+        return f"<Clip {self.meta.get('source', 'without a source')}: {n} frames at {rate:g} Hz, {n / rate:.2f} s>"
+
     def __post_init__(self) -> None:
         shape = self.points_w.shape
         if len(shape) != 3 or shape[1:] != (len(POINT_NAMES), 3):

@@ -97,6 +97,12 @@ class Rollout:
     parts: "tuple[Rollout, ...]" = ()
     estimation: EstimationErrors | None = None
 
+    def __repr__(self) -> str:
+        n, animal = len(self.reward), float(self.reward_animal.mean())
+        against = "" if np.isnan(animal) else f", {animal:.3f} against the animal"
+        said = f"reward {self.reward.mean():.3f}{against}, {int(self.fell.sum())} of {n} fell"
+        return f"<Rollout of {n} episode{'s' if n > 1 else ''}, {self.duration_s:g} s: {said}>"
+
     @property
     def course(self) -> Log:
         """The log of a rollout for which it was requested."""

@@ -36,6 +36,9 @@ class Evaluation:
     robot: str
     conditions: Conditions
 
+    def __repr__(self) -> str:
+        return f"<Evaluation of {self.motion!r}\n by {self.method}, {self.config.name}: {self.rollout!r}>"
+
     def run_log(self, episode: int = 0) -> RunLog:
         """The log of an episode with what the robot's own computer knew, for `identify`. Raises `ConfigError` if the
         evaluation kept no log, or its controller saw the true state."""

@@ -73,6 +73,10 @@ class Imitation:
     interrupted: bool = False
     held_out: HeldOut | None = None  # results on other robots; None without randomisation
 
+    def __repr__(self) -> str:
+        kind = type(self).__name__
+        return f"<{kind} by {self.method}: {self.motion!r}\n before {self.before!r}\n after  {self.after!r}>"
+
     @property
     def demonstration(self) -> Motion:
         """The demonstration that scores the robot."""

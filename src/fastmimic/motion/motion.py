@@ -113,6 +113,20 @@ class Motion:
         return self.provenance.name
 
     @property
+    def about(self) -> str:
+        """Length, rate, and mean velocity if it is periodic, in words."""
+        text = f"{self.period_s:.2f} s at {self.rate_hz:g} Hz"
+        if self.cycle is None:
+            return f"{text}, not periodic"
+        dx, dy, dyaw = self.cycle / self.period_s
+        return f"{text}, {dx:+.2f} m/s forward, {dy:+.2f} m/s left, yaw {dyaw:+.2f} rad/s"
+
+    def __repr__(self) -> str:
+        kind = "optimised, " if self.demonstration is not None else ""
+        kind += "kinematic" if self.target.animal is None else "executable"
+        return f"<Motion {self.name} for {self.provenance.robot}: {kind}, {self.about}>"
+
+    @property
     def foot_pos_w(self) -> NDArray[np.float64]:
         """Centres of the feet (t, 4, 3), world, m."""
         return self.root_pos_w[:, None] + quat_rotate(self.root_quat_wxyz[:, None], self.foot_pos_b)

@@ -80,7 +80,7 @@ def encoded(path: str | Path, arguments: list[str]) -> Iterator[Callable[[NDArra
     copied. Raises `OutputError` if `path` cannot be written, or the encoder stops or fails."""
     with replacing(path) as temporary, tempfile.TemporaryFile() as messages:
         encoder = subprocess.Popen(
-            [_ffmpeg(), *arguments, str(temporary)],
+            [ffmpeg(), *arguments, str(temporary)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=messages,
@@ -118,7 +118,7 @@ def encoded(path: str | Path, arguments: list[str]) -> Iterator[Callable[[NDArra
                 pipe.close()
 
 
-def _ffmpeg() -> str:
+def ffmpeg() -> str:
     import imageio_ffmpeg  # type: ignore[import-untyped]
 
     try:

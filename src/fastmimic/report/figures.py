@@ -3,6 +3,7 @@ trunk, joints against their limits) and of a take (segments, feet, speed, headin
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -152,19 +153,26 @@ def rmse(values: Array, reference: Array) -> float:
     return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
 
 
-def draw_run(result: Imitation, folder: RunFolder) -> None:
-    """Writes the figures of a run; raises `OutputError`."""
-    title = f"{result.motion.name} on {result.robot.name}"
-    h = result.history
-    if h is not None and len(h.best):
-        style.save(convergence_figure(h, title), folder.path / CONVERGENCE)
+def run_figure(result: Imitation) -> Figure:
+    """How the feet follow the demonstration, before and after, in some cycles."""
     log = result.after.course
     time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
     wanted, after = foot_courses(result.after, result.robot)
     _, before = foot_courses(result.before, result.robot)
     window_s = shown_window(result.demonstration, (result.before, result.after))
-    figure = tracking_figure(time_s, wanted, before, after, log.wanted[0], title, window_s=window_s)
-    style.save(figure, folder.path / TRACKING)
+    return tracking_figure(time_s, wanted, before, after, log.wanted[0], _title(result), window_s=window_s)
+
+
+def _title(result: Imitation) -> str:
+    return f"{result.motion.name} on {result.robot.name}"
+
+
+def draw_run(result: Imitation, folder: RunFolder) -> None:
+    """Writes the figures of a run; raises `OutputError`."""
+    h = result.history
+    if h is not None and len(h.best):
+        style.save(convergence_figure(h, _title(result)), folder.path / CONVERGENCE)
+    style.save(run_figure(result), folder.path / TRACKING)
 
 
 def write_video(
@@ -174,23 +182,35 @@ def write_video(
     quality: str = "preview",
     clip: Clip | None = None,
 ) -> None:
-    """Adds the video, if anything can draw, and its time to the metrics: the animal of `clip`, the robot with its
-    motion as it is, and with the result. Arguments, errors as `render_video`."""
+    """Adds the video, if anything can draw, and its time to the metrics. Arguments, errors as `render_run`."""
+    began = time.perf_counter()
+    if render_run(result, folder.path / VIDEO, progress, quality, clip):
+        folder.write_metrics(result.metrics(), time.perf_counter() - began)
+
+
+def render_run(
+    result: Imitation,
+    path: Path,
+    progress: Callable[[int, int], None] | None = None,
+    quality: str = "preview",
+    clip: Clip | None = None,
+) -> bool:
+    """Writes a video of the animal of `clip`, the robot with its motion as it is, and with the result; returns whether
+    anything can draw. Arguments, errors as `render_video`."""
     from fastmimic.render.video import render_video
 
-    began, tracks = time.perf_counter(), _tracks(result, clip)
+    tracks = _tracks(result, clip)
     info = render_video(
         result.robot,
         tracks,
-        folder.path / VIDEO,
+        path,
         size=None if len(tracks) < 3 else THREE_PANELS,
         columns=len(tracks),
         rate_hz=result.before.course.rate_hz,
         progress=progress,
         quality=quality,
     )
-    if info is not None:
-        folder.write_metrics(result.metrics(), time.perf_counter() - began)
+    return info is not None
 
 
 def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
@@ -218,7 +238,7 @@ def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
 def motion_figure(motion: Motion, robot: Robot) -> Figure:
     """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic), and
     its use of the limits. Behind an executable motion is the animal's."""
-    figure = style.new_figure(15.0, 9.8, _heading(motion, robot))
+    figure = style.new_figure(15.0, 9.8, f"{motion.name} on {robot.name}: {motion.about}")
     left = zip(("gait", "height", "tilt"), JOINTS_PER_LEG, strict=True)
     rows: list[Any] = [[name, f"{joint} angle", f"{joint} speed"] for name, joint in left]
     panels: dict[str, Axes] = figure.subplot_mosaic([*rows, ["use", "use", "use"]], sharex=True)
@@ -275,14 +295,6 @@ def _draw_use(axes: Axes, motion: Motion, robot: Robot) -> None:
     axes.set_ylim(0.0, max(1.1, 1.05 * max(float(np.nanmax(share, initial=0.0)) for share in shares.values())))
     style.tidy(axes, f"share of each limit, of the joint nearest to it; a band: more than {_AT_LIMIT:.0%}")
     axes.legend(loc="upper right", ncols=4, fontsize=8, frameon=False)
-
-
-def _heading(motion: Motion, robot: Robot) -> str:
-    text = f"{motion.name} on {robot.name}: {motion.period_s:.2f} s at {motion.rate_hz:g} Hz"
-    if motion.cycle is None:
-        return f"{text}, not periodic"
-    dx, dy, dyaw = motion.cycle / motion.period_s
-    return f"{text}, {dx:+.2f} m/s forward, {dy:+.2f} m/s left, yaw {dyaw:+.2f} rad/s"
 
 
 def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -> None:

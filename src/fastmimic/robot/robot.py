@@ -120,6 +120,11 @@ class Robot:
             return self.xml.encode()
         return (_NOWHERE.sub("", _ROUNDED_ZERO.sub("0", self.xml)) + self.files_digest).encode()
 
+    def __repr__(self) -> str:
+        torque, speed = float(self.torque_limit.max()), float(self.joint_speed_limit.max())
+        legs = f"legs of {self.thigh_length:.3f} + {self.calf_length:.3f} m"
+        return f"<Robot {self.name}: {self.mass:.2f} kg, {legs}, up to {torque:g} N·m and {speed:g} rad/s>"
+
     @property
     def thigh_length(self) -> float:
         """Mean over the legs, m."""
