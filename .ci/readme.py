@@ -33,7 +33,7 @@ COLUMN_OF_POINT = (0, 3, 11, 6, 20, 16, 15, 10, 23, 19)
 """Which of a dog file's 27 points each of `POINT_NAMES` is."""
 LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library"}
 """Verbs that take long, wait for a user, or fetch."""
-CHOICE = FinalChoice(candidates=2, episodes=2, robots=2, duration_s=0.4)
+CHOICE = FinalChoice(candidates=2, episodes=2, duration_s=0.4)
 """How a search chooses its result here: quickly."""
 GAITS = gait_field.Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5))
 """The gaits of a steered robot here: few, those of the tests."""

@@ -142,7 +142,6 @@ def searches() -> Iterator[Case]:
     with tempfile.TemporaryDirectory() as scratch:
         methods: dict[str, dict[str, Any]] = {
             "trot": {},
-            "turn, 4 robots": {"randomize": 3},
             "pace, mbc-dmp-path": {"method": "mbc-dmp-path"},
             "side-step, mbc-dmp-body": {"method": "mbc-dmp-body"},
             "trot, lh-dmp": {"method": "lh-dmp"},

@@ -37,7 +37,6 @@ from fastmimic.imitation.methods import Method as Method
 from fastmimic.imitation.stitch import Stitching as Stitching
 from fastmimic.imitation.stitch import stitch as stitch
 from fastmimic.motion.motion import Motion as Motion
-from fastmimic.optimize.randomization import Randomization as Randomization
 from fastmimic.primitive import DiscreteDmp as DiscreteDmp
 from fastmimic.primitive import MotionDmp as MotionDmp
 from fastmimic.primitive import RhythmicDmp as RhythmicDmp

@@ -6,19 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import fastmimic as fm
 from control.motions import gait
 from fastmimic.base.errors import CheckpointError, ConfigError
-from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import swing_clearance
-from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.reward import TERMS
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
-from searches import PART_DURATION_S, QUICK_CHOICE
+from searches import QUICK_CHOICE
 
 DURATION = 0.6
 QUICK = {"duration_s": DURATION, "iterations": 2, "population": 4, "seed": 1, "choice": QUICK_CHOICE}
@@ -220,44 +217,3 @@ def test_settings_out_of_range_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         imitate(motion, robot, **{**QUICK, **settings})  # type: ignore[arg-type]
-
-
-class TestRandomized:
-    """Optimised over several robots."""
-
-    def test_is_measured_on_robots_of_its_own(self, motion: Motion, robot: Robot) -> None:
-        over = fm.Randomization(2, ("friction", "payload=1:4"))  # type: ignore[arg-type]
-        result = imitate(motion, robot, randomize=over, **QUICK)
-        assert result.held_out is not None
-        assert result.held_out.randomization == over
-        record = result.motion.provenance.as_dict()["made_with"]["randomization"]
-        assert record == over.as_dict() == json.loads(json.dumps(record))
-        figures = result.metrics()["randomization"]["held_out"]
-        conditions = fm.Conditions(disturbances=over.held_out())
-        for when, what in (("before", result.demonstration), ("after", result.motion)):
-            expected = run_episodes(robot, what, start=nominal_start(16), duration_s=DURATION, conditions=conditions)
-            assert figures[when]["mean"] == float(expected.reward.mean())
-            assert figures[when]["worst"] == float(expected.reward.min())
-
-    def test_a_number_is_of_robots_that_differ_in_the_usual(self, motion: Motion, robot: Robot) -> None:
-        result = imitate(motion, robot, randomize=2, **QUICK)
-        assert result.held_out is not None
-        assert result.held_out.randomization == fm.Randomization(robots=2)
-
-    def test_a_method_without_a_search_has_nothing_to_randomise(self, motion: Motion, robot: Robot) -> None:
-        with pytest.raises(ConfigError, match="method 'mbc' has none"):
-            imitate(motion, robot, method="mbc", randomize=2, **QUICK)
-
-    def test_stitching_passes_it_on_to_the_parts_and_the_whole(self, motion: Motion, robot: Robot) -> None:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("fastmimic.imitation.imitate.HELD_OUT_ROBOTS", 1)
-            patch.setattr("fastmimic.imitation.stitch.PART_POPULATION", 4)
-            patch.setattr("fastmimic.imitation.stitch.PART_DURATION_S", PART_DURATION_S)
-            few = {"iterations": 1, "population": 4, "choice": QUICK_CHOICE}
-            result = fm.stitch([motion, motion], robot, cycles=2, randomize=2, **few)  # type: ignore[arg-type]
-        assert result.held_out is not None
-        assert result.motion.provenance.as_dict()["made_with"]["randomization"]["robots"] == 2
-        searched = 1 + 4 + 2  # the unmodulated motion, the candidates, and the mean and the best of them once more
-        assert result.evaluations == 2 * (2 * searched + 2 * 3), "the motion by itself, and the whole"
-        with pytest.raises(ConfigError, match="method 'mbc' has none"):
-            fm.stitch([motion, motion], robot, cycles=2, method="mbc", randomize=2)

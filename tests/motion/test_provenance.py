@@ -11,7 +11,6 @@ from fastmimic.motion.provenance import (
     DmpRecord,
     MadeWith,
     Provenance,
-    RandomizationRecord,
     RetargetBound,
     RetargetOutcome,
     Span,
@@ -48,7 +47,7 @@ WHOLE = Provenance(
     retarget={"scale": 0.8, "samples": 4, "bounds": [{"name": "slip", "value": None, "limit": 1, "met": False}]},
     dmp=DMP,
     stitch=STITCH,
-    made_with=MadeWith("mbc-dmp", None, RandomizationRecord(2, "mean", {"payload": (0, 1.5)})),
+    made_with=MadeWith("mbc-dmp", None),
     extra={"owner": "somebody", "extra": 1},
 )
 
@@ -105,7 +104,6 @@ def test_modulation_names_every_dimension() -> None:
             "x",
             r"Expected `float`, got `str` - at `\$\.retarget\.bounds\[0\]",
         ),
-        (("made_with", "randomization", "over", "payload"), [0], r"`array` of length 2.*\.randomization\.over"),
         (("made_with", "config"), ..., r"missing required field `config` - at `\$\.made_with`"),
     ],
 )

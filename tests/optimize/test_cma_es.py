@@ -151,7 +151,7 @@ class Bowl:
     class Config:
         rate_hz = 500.0
 
-    config, identity, steps, randomization = Config(), "bowl", 500, None
+    config, identity, steps = Config(), "bowl", 500
 
     def __init__(self) -> None:
         self.bounds = np.full(8, -0.03), np.array([0.03] * 4 + [1.8] * 4)
@@ -164,7 +164,7 @@ class Bowl:
     def tables(self, x: np.ndarray) -> np.ndarray:
         return x
 
-    def scores(self, tables: np.ndarray, start: object, steps: int, robots: object) -> np.ndarray:
+    def scores(self, tables: np.ndarray, start: object, steps: int) -> np.ndarray:
         return self.evaluate(tables)
 
     def validation(self, episodes: int, duration_s: float, rng: np.random.Generator) -> tuple[Start, int]:
@@ -330,7 +330,7 @@ class TestInterrupted:
         def poor_baseline(x: np.ndarray) -> np.ndarray:
             return evaluate(x) - (1.0 if len(x) == 1 else 0.0)
 
-        def interrupted(tables: np.ndarray, start: Start, steps: int, robots: object) -> list[Rollout]:
+        def interrupted(tables: np.ndarray, start: Start, steps: int) -> list[Rollout]:
             nonlocal calls
             if start.joint_offset.any():  # only the episodes of the final choice are perturbed
                 calls += 1

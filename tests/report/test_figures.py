@@ -66,13 +66,6 @@ def test_convergence_shows_the_best_so_far_the_spread_and_the_baseline(tmp_path:
     assert len(np.unique(written(figure, tmp_path).reshape(-1, 3), axis=0)) > 50
 
 
-def test_convergence_over_other_robots_in_each_iteration_shows_each_ones_best() -> None:
-    best, ones = np.array([0.5, 0.7, 0.6, 0.8]), np.ones(4)
-    figure = convergence_figure(replace(history(best, 0.4 * ones, 0.1 * ones, ones, 0.45), randomized=True))
-    np.testing.assert_array_equal(line(figure, 0, "best of the iteration"), best)
-    assert figure.axes[0].get_title(loc="left").endswith("other robots in each of 4 iterations")
-
-
 @pytest.mark.parametrize(
     ("first", "last"), [(0.3, 0.29), (0.24, 0.21), (0.3, 0.08), (0.3, 0.012), (0.3, 1e-3), (0.3, 1e-9)]
 )

@@ -7,18 +7,17 @@ import pytest
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.simulation.conditions import (
-    PUSH_WINDOW_S,
     Range,
     check_once,
-    draw,
     make_world,
+    other_ranges,
+    other_robots,
     parse_range,
     part,
-    repeated,
     usual_range,
     usual_ranges,
 )
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S, DisturbanceKind
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind
 
 RANGES = (Range("friction", 0.4, 1.2), Range("payload", 0.0, 3.0), Range("push", -5.0, 5.0))
 
@@ -35,43 +34,24 @@ def test_the_documentation_lists_them() -> None:
     page = (Path(__file__).parents[2] / "docs" / "robustness.md").read_text(encoding="utf-8")
     for name, (lower, upper) in usual_ranges().items():
         ends = f"{lower:g} … {upper:g} {DISTURBANCES[name].unit}".strip().replace("-", "−")
-        assert f"| `{name}` | {ends} | {'yes' if DISTURBANCES[name].randomized else 'no'} |" in page, name
+        assert f"| `{name}` | {ends} | {'yes' if DISTURBANCES[name].differs else 'no'} |" in page, name
 
 
 @pytest.mark.parametrize("n", [2, 3, 8])
 def test_of_as_many_parts_of_a_range_as_robots_each_has_one(n: int) -> None:
-    for d, r in zip(draw(RANGES, n, np.random.default_rng(0)), RANGES, strict=True):
-        assert d.name == r.name
+    robots, ranges = other_robots(n), other_ranges()
+    assert [d.name for d in robots] == [name for name, kind in DISTURBANCES.items() if kind.differs]
+    for d, r in zip(robots, ranges, strict=True):
         share = (np.array(d.values) - r.lower) / (r.upper - r.lower)
         assert sorted(np.floor(share * n).astype(int)) == list(range(n))
+    assert robots == other_robots(n), "results of several runs compare"
 
 
-def test_the_first_robot_may_be_the_robot_as_it_is() -> None:
-    robots = draw(RANGES, 4, np.random.default_rng(0), nominal_first=True)
-    assert [d.values[0] for d in robots] == [0.8, 0.0, 0.0]
-    friction = (np.array(robots[0].values[1:]) - 0.4) / 0.8
-    assert sorted(np.floor(3 * friction).astype(int)) == [0, 1, 2]
-
-
-def test_pushes_come_at_one_time_of_their_window() -> None:
-    times = [draw(RANGES, 2, np.random.default_rng(seed))[2].at_s for seed in range(20)]
-    assert len(set(times)) == 20
-    assert all(t is not None and PUSH_TIME_S <= t <= PUSH_TIME_S + PUSH_WINDOW_S for t in times)
-
-
-def test_the_same_generator_draws_the_same_robots() -> None:
-    one, same, other = (draw(RANGES, 3, np.random.default_rng(seed)) for seed in (5, 5, 6))
-    assert one == same
-    assert one != other
-
-
-def test_repeated_and_divided_robots_are_the_same_ones() -> None:
-    robots = draw(RANGES, 3, np.random.default_rng(1))
-    twice = repeated(robots, 2)
-    assert part(twice, slice(0, 3)) == part(twice, slice(3, 6)) == robots
-    world = make_world(twice, 6, "mujoco")
-    np.testing.assert_array_equal(world["payload"][:3], robots[1].values)
-    assert world.times["push"] == robots[2].at_s
+def test_divided_robots_are_the_same_ones() -> None:
+    robots = other_robots(6)
+    world = make_world(part(robots, slice(2, 5)), 3, "mujoco")
+    payload = next(d for d in robots if d.name == "payload")
+    np.testing.assert_array_equal(world["payload"], payload.values[2:5])
 
 
 def test_a_range_is_written_by_name_or_with_its_ends() -> None:

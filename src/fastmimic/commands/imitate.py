@@ -46,7 +46,6 @@ class SearchRun:
     """Folder of the results. Default: runs/MOTION-ROBOT-METHOD-SEED, numbered if it exists."""
     folder: opt.Folder
     video: opt.Video
-    randomization: opt.Randomizing
     choice: opt.Choice = FinalChoice()
 
     def check_search(self, method: str) -> None:
@@ -55,8 +54,6 @@ class SearchRun:
             return
         if self.folder.resume:
             raise ConfigError(f"method '{method}' does not search, so there is nothing to resume; drop --resume")
-        if self.randomization.chosen() is not None:
-            raise ConfigError(f"method '{method}' does not search, so --randomize has no effect; drop it")
 
     @contextmanager
     def opened(self, robot: Robot, name: str, method: str, **about: Any) -> Iterator[tuple[RunFolder, dict[str, Any]]]:
@@ -151,7 +148,6 @@ class Imitate(SearchRun):
                 duration_s=self.duration,
                 checkpoint=folder.checkpoint,
                 progress=progress,
-                randomize=self.randomization.chosen(),
             )
 
 
@@ -218,7 +214,6 @@ class Stitch(SearchRun):
                 folder=folder.path,
                 progress=lambda step: bar(step),
                 stage=stage,
-                randomize=self.randomization.chosen(),
             )
 
 

@@ -22,7 +22,6 @@ from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
-from fastmimic.optimize.randomization import Randomization
 from fastmimic.render.encoding import QUALITIES
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
@@ -240,32 +239,6 @@ class VideoOptions:
         return None if self.no_video else self.quality
 
 
-@dataclass(frozen=True, kw_only=True)
-class RandomizeOptions:
-    """Domain randomisation: the search scores each candidate on several robots."""
-
-    randomize: Annotated[tuple[str, ...] | None, option("[N]")] = None
-    """Score each candidate on N robots (4 if no number is given): the nominal one and N - 1 random ones. Takes N times
-    as long."""
-    randomize_over: Annotated[tuple[str, ...], option("NAME[=LOWER:UPPER] ...")] = ()
-    """Properties to randomise, e.g. friction payload=0:3. Default: ground, payload and motors."""
-    criterion: Annotated[str | None, option("mean|worst")] = None
-    """How the scores are combined. Default: mean."""
-
-    def chosen(self) -> Randomization | None:
-        """The randomisation that was asked for; raises `ConfigError`."""
-        if self.randomize is None:
-            for name in given(self):
-                raise ConfigError(f"{name} needs --randomize; add it")
-            return None
-        number = " ".join(self.randomize)
-        if not re.fullmatch(r"\d*", number):
-            raise ConfigError(f"--randomize takes one number of robots, or none for 4; found '{number}'")
-        options: dict[str, Any] = {"robots": int(number) if number else None, "criterion": self.criterion}
-        options["over"] = self.randomize_over or None
-        return Randomization(**{name: value for name, value in options.items() if value is not None})
-
-
 FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
 ClipReading = Annotated[ClipOptions, OmitArgPrefixes]
 Searching = Annotated[SearchOptions, OmitArgPrefixes]
@@ -273,18 +246,14 @@ Choice = Annotated[FinalChoice, Suppress]
 """How a search chooses its result: a field without an option."""
 Folder = Annotated[FolderOptions, OmitArgPrefixes]
 Video = Annotated[VideoOptions, OmitArgPrefixes]
-Randomizing = Annotated[RandomizeOptions, OmitArgPrefixes]
 
 
 def recorded(command: Any) -> dict[str, Any]:
-    """A verb's arguments for `config.json`, flat; the randomisation is one entry, None without."""
+    """A verb's arguments for `config.json`, flat."""
     found: dict[str, Any] = {}
     for field in dataclasses.fields(command):
         value = getattr(command, field.name)
-        if isinstance(value, RandomizeOptions):
-            chosen = value.chosen()
-            found["randomize"] = None if chosen is None else chosen.as_dict()
-        elif isinstance(value, FinalChoice):
+        if isinstance(value, FinalChoice):
             continue
         elif dataclasses.is_dataclass(value):
             found |= recorded(value)

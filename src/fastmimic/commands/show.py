@@ -54,14 +54,6 @@ def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
         fell=yes_no(metrics["fell"][column]),
         clearance=("swing clearance, % of reference", number(min(shares, default=None), 0, 100)),
     )
-    if "randomization" in metrics:
-        others = metrics["randomization"]["held_out"]
-        over = others[column]
-        cells += [
-            (f"{others['robots']} other robots: mean reward", f"{over['mean']:.3f}"),
-            ("  worst reward", f"{over['worst']:.3f}"),
-            ("  fell", f"{over['fell']:.0%}"),
-        ]
     return dict(cells)
 
 

@@ -15,7 +15,7 @@ repeats the work of a killed one. Every builder ends by making the index from th
 import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -35,8 +35,8 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.parameters import FinalChoice, SearchSettings
 from fastmimic.optimize.problem import Objective
-from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization
 from fastmimic.robot import load_robot
+from fastmimic.simulation.conditions import other_ranges
 
 if TYPE_CHECKING:
     import pyarrow
@@ -82,7 +82,7 @@ class BuildSettings(SearchSettings):
     population: int = 10
     evaluation_s: float = 10.0
     perturbed: int = 8
-    others: int = HELD_OUT_ROBOTS
+    others: int = 16
     second_simulator: bool = True
     choice: FinalChoice = FinalChoice()
 
@@ -104,7 +104,7 @@ class BuildSettings(SearchSettings):
     def digest(self) -> str:
         """16 hexadecimal digits of all settings, including the content of a parameter file."""
         config = self.config if self.config in CONFIGS else "a file"
-        said = {**self.as_dict(), "config": config, "over": Randomization().as_dict()["over"]}
+        said = {**self.as_dict(), "config": config, "over": {r.name: [r.lower, r.upper] for r in other_ranges()}}
         return _digest({**self._search(), **said})
 
     @cached_property
@@ -118,7 +118,7 @@ class BuildSettings(SearchSettings):
             "method": method.name,
             "parameters": method.parameters,
             "controller": method.configure(controller_config(self.config)).as_dict(),
-            "objective": Objective(self.duration_s).as_dict(),
+            "objective": asdict(Objective(self.duration_s)),
             "population": self.population,
         }
 

@@ -34,11 +34,10 @@ from fastmimic.executors import Report
 from fastmimic.experiments.measurement import measure, named_values, searched
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.optimize.cma_es import Progress
-from fastmimic.optimize.randomization import Randomization
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
 from fastmimic.runs.work_folder import CHECKPOINT
-from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.conditions import Conditions, other_robots
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 WORK: Final = "work"
@@ -219,8 +218,8 @@ def _tried(job: Job, result: Imitation) -> Record:
         )
 
     if recipe.others:
-        others = Randomization().held_out(recipe.others)
-        rollout = elsewhere(Conditions(disturbances=others), recipe.others, perturbed=False)
+        others = Conditions(disturbances=other_robots(recipe.others))
+        rollout = elsewhere(others, recipe.others, perturbed=False)
         simulated_s += measured.seconds * recipe.others
         figures |= Metrics.of(rollout).named(("reward_mean", "reward_worst", "fell"), "robots")
     if recipe.second_simulator and SIMULATORS[SECOND_SIMULATOR].knows(job.robot):

@@ -147,7 +147,7 @@ def digest(
         "parameters": method.parameters,
         "controller": method.configure(controller_of(run, settings)).as_dict(),
         "n_basis": ablation_named(run.variant).n_basis,
-        "objective": Objective(settings.duration_s).as_dict(),
+        "objective": asdict(Objective(settings.duration_s)),
         "settings": {k: v for k, v in settings.as_dict().items() if k != "robot"},
     }
     if policy is not None:

@@ -16,39 +16,19 @@ from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import TRACKED, Metrics, swing_clearance
-from fastmimic.episode.plan import nominal_start
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.methods import check_controller, made_with, method_named, randomization
+from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
 from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
 from fastmimic.optimize.problem import Objective
-from fastmimic.optimize.randomization import HELD_OUT_ROBOTS, Randomization
 from fastmimic.optimize.stitched import make_problem
 from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
-from fastmimic.simulation.conditions import Conditions
 
 _FEET: Final = ("early_contacts_per_s", "stance_slip_m", "foot_z_rmse_m", "foot_x_rmse_m")
 _BEFORE_AND_AFTER: Final = (*_FEET, "qp_failures", *TRACKED)
-
-
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """A randomised search's result on held-out robots: one episode each from the motion's start, before and after."""
-
-    randomization: Randomization
-    before: Rollout
-    after: Rollout
-
-    def as_dict(self) -> dict[str, Any]:
-        """Settings and results, JSON-serialisable."""
-        found: dict[str, Any] = {"robots": len(self.before.reward)}
-        for name, rollout in (("before", self.before), ("after", self.after)):
-            m = Metrics.of(rollout)
-            found[name] = {"mean": m.reward_mean, "std": m.reward_std, "worst": m.reward_worst, "fell": m.fell}
-        return self.randomization.as_dict() | {"held_out": found}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,7 +51,6 @@ class Imitation:
     iterations: int = 0
     wall_s: float  # in all; includes the time before a resume
     interrupted: bool = False
-    held_out: HeldOut | None = None  # results on other robots; None without randomisation
 
     def __repr__(self) -> str:
         kind = type(self).__name__
@@ -102,7 +81,6 @@ class Imitation:
                 "components_after": after.components,
             },
             **({"reward_animal": both("reward_animal")} if before.reward_animal is not None else {}),
-            **({"randomization": self.held_out.as_dict()} if self.held_out is not None else {}),
             "fell": both("fell_once"),
             "drift_m_per_s": both("drift_m_per_s"),
             "swing_clearance_m": {
@@ -157,7 +135,6 @@ def imitate(
     progress: Callable[[Progress], None] | None = None,
     n_basis: int = N_BASIS,
     controller: MakeController | None = None,
-    randomize: int | Randomization | None = None,
     warm_start: str | Path | Motion | None = None,
     choice: FinalChoice = FinalChoice(),
     **overrides: Any,
@@ -176,7 +153,6 @@ def imitate(
         workers: threads; None for one per core. The result does not depend on it.
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
-        randomize: the robots that score each candidate, or their number; None for the nominal robot.
         warm_start: an optimised motion, or its file, with the modulation that the search begins from.
         choice: how the search chooses its result.
 
@@ -188,7 +164,6 @@ def imitate(
     config = chosen.configure(config)
     controller = controller or chosen.controller
     settings = CmaSettings(iterations, population, seed, choice=choice)
-    over = randomization(chosen, randomize)
     moved = None
     if warm_start is not None:
         if not chosen.optimises:
@@ -199,7 +174,7 @@ def imitate(
     demonstration = given.target
     if demonstration.cycle is None:
         duration_s = (demonstration.n_samples - 1) / demonstration.rate_hz
-    objective = Objective(duration_s=duration_s, randomization=over)
+    objective = Objective(duration_s=duration_s)
     before = run_episodes(robot, demonstration, duration_s=duration_s, config=config, log=True, controller=controller)
     unoptimised = Imitation(
         motion=demonstration,
@@ -219,11 +194,8 @@ def imitate(
     problem = make_problem(robot, given, group=chosen.parameters, n_basis=n_basis, moved=moved, **search)
     prepared = time.perf_counter() - began
     optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
-    motion = made_with(problem.motion(optimum.x), method, config, over)
+    motion = made_with(problem.motion(optimum.x), method, config)
     after = run_episodes(robot, motion, duration_s=duration_s, config=config, log=True)
-    measured = time.perf_counter()
-    held_out = None if over is None else _held_out(over, motion, robot, duration_s, config)
-    measured_s = 0.0 if held_out is None else time.perf_counter() - measured
     return replace(
         unoptimised,
         motion=motion,
@@ -232,21 +204,8 @@ def imitate(
         values=optimum.x,
         history=optimum.history,
         evaluations=optimum.evaluations,
-        simulated_s=optimum.simulated_s + 2 * duration_s * (1 if over is None else 1 + HELD_OUT_ROBOTS),
+        simulated_s=optimum.simulated_s + 2 * duration_s,
         iterations=len(optimum.history.best),
-        wall_s=prepared + optimum.elapsed_s + measured_s,
+        wall_s=prepared + optimum.elapsed_s,
         interrupted=optimum.interrupted,
-        held_out=held_out,
     )
-
-
-def _held_out(
-    over: Randomization, motion: Motion, robot: Robot, duration_s: float, config: ControllerConfig
-) -> HeldOut:
-    conditions = Conditions(disturbances=over.held_out(HELD_OUT_ROBOTS))
-    start = nominal_start(HELD_OUT_ROBOTS)
-    before, after = (
-        run_episodes(robot, m, start=start, duration_s=duration_s, config=config, conditions=conditions)
-        for m in (motion.target, motion)
-    )
-    return HeldOut(over, before, after)

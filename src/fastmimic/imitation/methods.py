@@ -10,17 +10,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-import msgspec
-
 from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig, controller_config
 from fastmimic.motion.motion import Motion
-from fastmimic.motion.provenance import MadeWith, RandomizationRecord
+from fastmimic.motion.provenance import MadeWith
 from fastmimic.optimize.parameters import PARAMETER_GROUPS
-from fastmimic.optimize.randomization import Randomization
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -107,22 +104,11 @@ def check_controller(method: Method, given: bool) -> None:
         raise ConfigError(f"method '{method.name}' does not use a policy; drop --policy")
 
 
-def randomization(method: Method, given: int | Randomization | None) -> Randomization | None:
-    """The argument of `imitate` as settings: a number of robots stands for the usual ranges and the mean. Raises
-    `ConfigError` if the method has no search."""
-    if given is not None and not method.optimises:
-        raise ConfigError(f"randomisation is of a search, and method '{method.name}' has none; leave it out")
-    return Randomization(robots=given) if isinstance(given, int) else given
-
-
-def made_with(
-    motion: Motion, method: str, config: ControllerConfig, randomization: Randomization | None = None
-) -> Motion:
+def made_with(motion: Motion, method: str, config: ControllerConfig) -> Motion:
     """An optimised motion (a demonstration records no method) with its method and settings in its provenance. Of
     `config`, with the method's changes, only the name of its set is kept; None if it equals no set."""
     same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]) == config
-    over = None if randomization is None else msgspec.convert(randomization.as_dict(), RandomizationRecord)
-    record = MadeWith(method, config.name if same else None, over)
+    record = MadeWith(method, config.name if same else None)
     return replace(motion, provenance=replace(motion.provenance, made_with=record))
 
 

@@ -16,11 +16,10 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import check_workers
 from fastmimic.imitation.imitate import Imitation, imitate
-from fastmimic.imitation.methods import check_controller, made_with, method_named, randomization
+from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Checkpoint, CmaSettings, Progress
 from fastmimic.optimize.parameters import FOOT_HEIGHT, FinalChoice, needed_group
-from fastmimic.optimize.randomization import Randomization
 from fastmimic.optimize.stitched import StitchedProblem, parameters_of
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import MotionSource, load_motion
@@ -66,7 +65,6 @@ def stitch(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     stage: Callable[[str], None] = lambda name: None,
-    randomize: int | Randomization | None = None,
     choice: FinalChoice = FinalChoice(),
 ) -> Stitching:
     """Stitches motions and optimises all their DMPs together, over the whole episode, from each motion's own optimum,
@@ -82,7 +80,7 @@ def stitch(
         folder: for all checkpoints; None to keep none. Removes those of an earlier run unless `resume`.
         resume: continue from the checkpoints in the folder. Once the whole has begun, the motions' own are only read.
         stage: called with the name of each stage as it begins.
-        randomize, choice: as in `imitate`, for each motion and for the whole.
+        choice: as in `imitate`, for each motion and for the whole.
 
     Raises `FastMimicError` if an argument is wrong. Checkpoints survive Ctrl-C, which raises `KeyboardInterrupt` before
     the whole is optimised.
@@ -95,7 +93,6 @@ def stitch(
     for generations in (iterations, part_iterations):  # checks before any long work
         if generations is not None:
             CmaSettings(generations, population if population is not None else PART_POPULATION, seed)
-    over = randomization(chosen, randomize)
     check_workers(workers)
     if isinstance(cycles, int) and cycles < 1:
         raise ConfigError(f"every motion needs at least one cycle, found {cycles}")
@@ -113,7 +110,6 @@ def stitch(
         "seed": seed,
         "workers": workers,
         "progress": progress,
-        "randomize": over,
         "choice": choice,
     }
     if chosen.optimises or any(m.demonstration is not None for m in motions):

@@ -86,22 +86,11 @@ class StitchRecord:
 
 
 @dataclass(frozen=True)
-class RandomizationRecord:
-    """`Randomization.as_dict`: number of robots, criterion, and the ranges of their differences by name."""
-
-    robots: int
-    criterion: str
-    over: dict[str, tuple[int | float, int | float]]
-
-
-@dataclass(frozen=True)
 class MadeWith:
-    """The method of an optimised motion, the name of its controller's parameters (None for its own ones), and the
-    robots that it was optimised over, if more than one."""
+    """The method of an optimised motion, and the name of its controller's parameters (None for its own ones)."""
 
     method: str
     config: str | None
-    randomization: RandomizationRecord | None = None
 
 
 class ClipOrigin(msgspec.Struct, frozen=True):

@@ -19,10 +19,8 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.base.files import UNREADABLE, open_arrays, replace_file
-from fastmimic.episode.plan import nominal_start
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
-from fastmimic.simulation.conditions import Disturbance
 
 MOST_ITERATIONS: Final = 200
 _SETTLED: Final = (20, 5e-4)  # iterations whose best scores differ by less: nothing more is to be gained
@@ -61,7 +59,7 @@ class Checkpoint:
         if identity not in (None, found.identity):
             raise CheckpointError(
                 f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration,"
-                " randomisation, seed or population differ); resume with the same arguments or choose another output"
+                " seed or population differ); resume with the same arguments or choose another output"
                 " folder"
             )
         if found.candidates.ndim != 3 or found.scores.shape != found.candidates.shape[:2]:
@@ -89,16 +87,14 @@ class CmaSettings:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The course of an optimisation: `best`, `mean` and `std` (i,) of the scores in each iteration. If `randomized`,
-    each draws its own robots, and scores of two iterations compare only roughly."""
+    """The course of an optimisation: `best`, `mean` and `std` (i,) of the scores in each iteration."""
 
     best: Array
     mean: Array
     std: Array
     sigma: Array  # (i,) overall step size, share of the parameters' ranges
-    baseline: float  # score of the unmodulated motion, with the robots of the first iteration
-    start: float  # the best among the given candidates, the unmodulated motion and the start of the search, with those
-    randomized: bool = False
+    baseline: float  # score of the unmodulated motion
+    start: float  # the best among the given candidates, the unmodulated motion and the start of the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +102,8 @@ class Optimum:
     """Result of an optimisation; numbers of episodes and times include those before a resume."""
 
     x: Array  # (k,) the parameters, physical units
-    score: float  # objective in the optimisation's episode; with the first iteration's robots, if several
-    validation: float  # mean over the validation episodes, or criterion over several robots; NaN if interrupted before
+    score: float  # objective in the optimisation's episode
+    validation: float  # mean over the validation episodes; NaN if interrupted before
     history: History
     evaluations: int  # episodes run
     simulated_s: float  # their total length
@@ -138,10 +134,6 @@ def optimize(
     candidates of all iterations and the unmodulated motion, so that one lucky episode does not decide. Ctrl-C ends the
     search early and keeps its results so far.
 
-    With several robots, different in each iteration, the best scores come from the iterations with the easiest robots.
-    The choice is then among the best candidates and the distribution's means of the last iterations, by longer episodes
-    with robots that the search has not met.
-
     The file `checkpoint` takes the course every few iterations; with `resume` the search goes on from it, and the
     result is bit for bit that of an uninterrupted run.
 
@@ -162,14 +154,7 @@ class _Search:
         self.candidates: list[Array] = []
         self.scores: list[Array] = []
         self.sigma: list[float] = []
-        self.means: list[Array] = []  # of the distribution after each iteration, with several robots
-        self.randomization = problem.randomization
-        self.robots = 1 if self.randomization is None else self.randomization.robots
-        if self.randomization is not None:
-            self.randomization.check(problem.steps / problem.config.rate_hz)
         self.choice, self.limit = settings.choice, settings.iterations or MOST_ITERATIONS
-        self.validation_episodes = self.choice.episodes if self.randomization is None else self.choice.robots
-        self.rescored = 0
         self.validated = self.validation_steps = self.recorded = 0
         own = {name: getattr(settings, name) for name in ("population", "seed", "step_size")}
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
@@ -177,37 +162,35 @@ class _Search:
     def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
         before = self._replay() if resume else 0.0
         began, done_before = time.perf_counter(), len(self.scores)
-        given = self._evaluate(self.given, 0)
+        given = self.problem.evaluate(self.given)
         baseline = float(given[0])
         interrupted = False
         try:
             while len(self.scores) < self.limit and not self._settled():
                 u = np.array(self.strategy.ask())
-                self._tell(u, self._evaluate(self._physical(u), len(self.scores)))
+                self._tell(u, self.problem.evaluate(self._physical(u)))
                 elapsed = time.perf_counter() - began
                 done = len(self.scores)
                 if done % self.settings.checkpoint_every == 0:
                     self._save(before + elapsed)
                 if progress is not None:
                     each = elapsed / (done - done_before)
-                    best = float(self.scores[-1].max())
-                    if self.randomization is None:
-                        best = max(float(given.max()), *(float(s.max()) for s in self.scores))
+                    best = max(float(given.max()), *(float(s.max()) for s in self.scores))
                     last = done if self._settled() else self.limit
                     remaining = each * (last - done)
-                    rate = self.settings.population * self.robots / each
+                    rate = self.settings.population / each
                     progress(Progress(done, last, best, rate, remaining))
         except KeyboardInterrupt:
             interrupted = True
             whole = len(self.sigma)  # an interrupt may come while an iteration is being recorded
-            del self.candidates[whole:], self.scores[whole:], self.means[whole:]
+            del self.candidates[whole:], self.scores[whole:]
         self._save(before + time.perf_counter() - began)
         x, score, validation, hurried = self._choose(given)
         elapsed = before + time.perf_counter() - began
         self._save(elapsed)
         scores = np.array(self.scores).reshape(-1, self.settings.population)
-        searched = (len(given) + scores.size + self.rescored) * self.robots
-        validated = self.validated * self.validation_episodes
+        searched = len(given) + scores.size
+        validated = self.validated * self.choice.episodes
         return Optimum(
             x=x,
             score=score,
@@ -219,7 +202,6 @@ class _Search:
                 sigma=np.array(self.sigma),
                 baseline=baseline,
                 start=float(given.max()),
-                randomized=self.randomization is not None,
             ),
             evaluations=searched + validated,
             simulated_s=(searched * self.problem.steps + validated * self.validation_steps)
@@ -229,16 +211,10 @@ class _Search:
         )
 
     def _settled(self) -> bool:
-        """Whether the search ends by itself; one over several robots, which differ in each iteration, does not."""
+        """Whether the search ends by itself."""
         count, least = _SETTLED
         best = [float(scores.max()) for scores in self.scores[-count:]]
-        free = self.settings.iterations is None and self.randomization is None
-        return free and len(best) == count and max(best) - min(best) < least
-
-    def _evaluate(self, x: Array, iteration: int) -> Array:
-        if self.randomization is None:
-            return self.problem.evaluate(x)
-        return self.problem.evaluate(x, self.randomization.of_iteration(self.settings.seed, iteration))
+        return self.settings.iterations is None and len(best) == count and max(best) - min(best) < least
 
     def _physical(self, u: Array) -> Array:
         return self.lower + self.span * u
@@ -247,8 +223,6 @@ class _Search:
         self.strategy.tell(list(u), list(-scores))
         self.candidates.append(u)
         self.scores.append(scores)
-        if self.randomization is not None:
-            self.means.append(np.array(self.strategy.result.xfavorite))
         self.sigma.append(float(self.strategy.sigma))
 
     def _replay(self) -> float:
@@ -275,24 +249,16 @@ class _Search:
 
     def _choose(self, given: Array) -> tuple[Array, float, float, bool]:
         """The candidate with the best validation: x, score, validation, and whether Ctrl-C cut the validation short."""
-        best, own = self._best(float(given[0])) if self.randomization is None else self._last()
+        best, own = self._best(float(given[0]))
         x, scores = np.concatenate([self.given, best]), np.concatenate([given, own])
         rng = np.random.default_rng([self.settings.seed, 1])
-        start, steps = self.problem.validation(self.validation_episodes, self.choice.duration_s, rng)
-        robots: tuple[Disturbance, ...] = ()
-        if self.randomization is not None:  # the robots differ from episode to episode
-            start = nominal_start(self.validation_episodes)
-            robots = self.randomization.of_choice(self.settings.seed, self.validation_episodes)
+        start, steps = self.problem.validation(self.choice.episodes, self.choice.duration_s, rng)
         self.validation_steps = steps
         tables = self.problem.tables(x)
         validation, hurried = np.full(len(x), np.nan), False
         try:
-            if self.randomization is not None and len(best):
-                scores[len(given) :] = self._evaluate(best, 0)
-                self.rescored = len(best)
             for i, table in enumerate(tables):
-                own = self.problem.scores(np.repeat(table[None], start.n, axis=0), start, steps, robots)
-                validation[i] = np.mean(own) if self.randomization is None else self.randomization.scored(own)
+                validation[i] = np.mean(self.problem.scores(np.repeat(table[None], start.n, axis=0), start, steps))
         except KeyboardInterrupt:
             hurried = True
         self.validated = int(np.isfinite(validation).sum())
@@ -305,17 +271,6 @@ class _Search:
         best = np.argsort(-flat, kind="stable")[: self.choice.candidates]
         best = best[flat[best] >= baseline]
         return self._physical(u[best]), flat[best]
-
-    def _last(self) -> tuple[Array, Array]:
-        """Means and best candidates of the last iterations, newest first, both with the best candidate's score."""
-        rows: list[Array] = []
-        scores: list[float] = []
-        done = len(self.scores)
-        for i in reversed(range(max(0, done - self.choice.candidates // 2), done)):
-            best = int(np.argmax(self.scores[i]))
-            rows += [self.means[i], self.candidates[i][best]]
-            scores += [float(self.scores[i][best])] * 2
-        return self._physical(np.array(rows).reshape(-1, len(self.lower))), np.array(scores)
 
 
 def _pycma() -> Any:

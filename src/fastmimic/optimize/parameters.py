@@ -134,12 +134,11 @@ class FinalChoice:
 
     candidates: int = 8  # that compete for being the result
     episodes: int = 4  # of each; one begins at the motion's start, the others perturbed
-    robots: int = 8  # of each, in place of `episodes`, where candidates are scored over several robots
     duration_s: float = 10.0  # of an episode
 
     @property
     def simulated_s(self) -> float:
-        """Time to simulate for the validation on one robot, s."""
+        """Time to simulate for the validation, s."""
         return self.candidates * self.episodes * self.duration_s
 
 

@@ -31,13 +31,10 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import check_workers
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
-from fastmimic.optimize.randomization import Randomization
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.motion_dmp import FEET, rate_of
 from fastmimic.reference.table import put_root, reference_table
 from fastmimic.robot import Robot
-from fastmimic.simulation.conditions import Conditions, Disturbance, repeated
-from fastmimic.simulation.conditions import part as part_of
 
 _CYCLES: Final = 3  # in an episode of the search, if it is to be that long
 _LEAST_S: Final = 1.2
@@ -50,18 +47,13 @@ class Objective:
     penalised below `clearance_floor`, a share of the demonstration's clearance: above the share that a result must
     reach, because the realised clearance varies from step to step."""
 
-    duration_s: float = 5.0  # of an episode at the most; with one robot three cycles do, and 1.2 s
+    duration_s: float = 5.0  # of an episode at the most; three cycles do, and 1.2 s
     clearance_floor: float = 0.87
     clearance_weight: float = 1.0  # penalty per foot and per unit of the missing share
-    randomization: Randomization | None = None  # the robots that score a candidate; None for the nominal robot
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.duration_s) and self.duration_s > 0):
             raise ConfigError(f"the duration must be positive, found {self.duration_s}")
-
-    def as_dict(self) -> dict[str, Any]:
-        """The settings that determine scores; without `randomization` if None, so that digests stay the same."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 class Problem(ABC):
@@ -90,11 +82,10 @@ class Problem(ABC):
         self.parameters = tuple(parameters)
         self.start = self.initial
         self.objective = objective
-        self.randomization = objective.randomization
         self.config = config if config is not None else ControllerConfig()
         self.workers = workers if workers is not None else available_cores()
         self.divisions: tuple[int, ...] = ()  # control steps that divide episodes into parts
-        self._loops: dict[tuple[int, int, bool], ClosedLoop] = {}
+        self._loops: dict[tuple[int, int], ClosedLoop] = {}
 
     @abstractmethod
     def motion(self, x: Array) -> Motion:
@@ -131,7 +122,7 @@ class Problem(ABC):
         digest.update(self.robot.content)
         settings = {
             "config": self.config.as_dict(),
-            "objective": self.objective.as_dict(),
+            "objective": asdict(self.objective),
             "parameters": [asdict(p) for p in self.parameters],
             "start": self.start.tolist(),
             "steps": self.steps,
@@ -141,47 +132,36 @@ class Problem(ABC):
         digest.update(json.dumps(settings, sort_keys=True).encode())
         return digest.hexdigest()
 
-    def rollout(
-        self, tables: NDArray[Any], start: Start, steps: int, robots: Sequence[Disturbance] = ()
-    ) -> list[Rollout]:
-        """Runs one episode per table (n, t) of `SAMPLE` on the workers; returns a result for each part, in order.
-        `robots` are the differences of the n robots from the nominal one, n values each."""
+    def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
+        """Runs one episode per table (n, t) of `SAMPLE` on the workers; returns a result for each part, in order."""
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(bounds)]
 
         def run(worker: int) -> Rollout:
             part = parts[worker]
-            loop = self._loop(worker, part.stop - part.start, part_of(robots, part))
+            loop = self._loop(worker, part.stop - part.start)
             return loop.run(tables[part], start.part(part), steps, divisions=self.divisions)
 
         if len(parts) == 1:
             return [run(0)]
         for worker, part in enumerate(parts):  # compiles and builds before the threads start
-            self._loop(worker, part.stop - part.start, part_of(robots, part))
+            self._loop(worker, part.stop - part.start)
         with ThreadPoolExecutor(len(parts)) as pool:
             return list(pool.map(run, range(len(parts))))
 
-    def evaluate(self, x: Array, robots: Sequence[Disturbance] = ()) -> Array:
-        """Scores of n candidates (n, k), greater is better, (n,): of the nominal robot, or of the same m robots."""
-        m = len(robots[0].values) if robots else 1
-        tables = np.repeat(self.tables(x), m, axis=0)
-        scores = self.scores(tables, nominal_start(len(tables)), self.steps, repeated(robots, len(x)))
-        if self.randomization is None or not robots:
-            return scores
-        return self.randomization.scored(scores.reshape(len(x), m))
+    def evaluate(self, x: Array) -> Array:
+        """Scores of n candidates (n, k), greater is better, (n,)."""
+        return self.scores(self.tables(x), nominal_start(len(x)), self.steps)
 
-    def scores(self, tables: NDArray[Any], start: Start, steps: int, robots: Sequence[Disturbance] = ()) -> Array:
+    def scores(self, tables: NDArray[Any], start: Start, steps: int) -> Array:
         """Objective of each episode, (n,); arguments as for `rollout`."""
-        return np.concatenate([self.score(r) for r in self.rollout(tables, start, steps, robots)])
+        return np.concatenate([self.score(r) for r in self.rollout(tables, start, steps)])
 
-    def _loop(self, worker: int, n: int, robots: tuple[Disturbance, ...]) -> ClosedLoop:
-        key = worker, n, bool(robots)
-        loop = self._loops.get(key)
-        if loop is None or loop.conditions.disturbances != robots:  # each iteration's robots replace the last ones
-            conditions = Conditions(disturbances=robots)
-            loop = ClosedLoop(self.robot, self._scored, n, self.config, conditions=conditions)
-            self._loops[key] = loop
-        return loop
+    def _loop(self, worker: int, n: int) -> ClosedLoop:
+        key = worker, n
+        if key not in self._loops:
+            self._loops[key] = ClosedLoop(self.robot, self._scored, n, self.config)
+        return self._loops[key]
 
 
 class ImitationProblem(Problem):
@@ -210,7 +190,7 @@ class ImitationProblem(Problem):
         self.start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
         seconds = self.objective.duration_s
-        if self._repeats and self.randomization is None:
+        if self._repeats:
             seconds = min(seconds, max(_LEAST_S, _CYCLES * demonstration.period_s))
         self.steps = episode_steps(seconds, self.config.rate_hz)
         if self._repeats and self.steps < demonstration.n_samples:  # each parameter must act within an episode

@@ -42,8 +42,7 @@ _ANIMAL: Final[dict[str, Any]] = {"color": MUTED, "linewidth": 1.0, "alpha": 0.5
 
 
 def convergence_figure(history: History, title: str = "Optimisation") -> Figure:
-    """Reward and step size of the optimiser by iteration: best so far, the candidates' mean, deviation as a band.
-    With other robots in each iteration, the best so far would be the easiest ones'; each iteration's best is drawn."""
+    """Reward and step size of the optimiser by iteration: best so far, the candidates' mean, deviation as a band."""
     h = history
     k = np.arange(1.0, len(h.best) + 1)
     figure = style.new_figure(8.0, 5.6, title, below=0.5)
@@ -58,19 +57,15 @@ def convergence_figure(history: History, title: str = "Optimisation") -> Figure:
 
 def _draw_reward(axes: Axes, k: Array, h: History) -> None:
     marker, mean, std, baseline = _marker(k), h.mean, h.std, h.baseline
-    best = h.best if h.randomized else np.fmax.accumulate(np.maximum(h.best, h.start))
+    best = np.fmax.accumulate(np.maximum(h.best, h.start))
     label = "candidates, ± 1 std"
     axes.fill_between(k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label=label)
     axes.plot(k, mean, **BEFORE._asdict(), marker=marker, markersize=4, label="candidates, mean")
-    label = "best of the iteration" if h.randomized else "best so far"
-    axes.plot(k, best, **AFTER._asdict(), marker=marker, markersize=4, label=label)
+    axes.plot(k, best, **AFTER._asdict(), marker=marker, markersize=4, label="best so far")
     axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
-    said = f"not optimised{', first robots' if h.randomized else ''} {baseline:.3f}"
     where = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
-    style.write_at(axes, said, (1, baseline), (-2, 3), 8.5, **where)
-    title = f"Objective of the search, other robots in each of {len(best)} iterations"
-    if not h.randomized:
-        title = f"Objective of the search: {baseline:.3f} → {best[-1]:.3f} after {len(best)} iterations"
+    style.write_at(axes, f"not optimised {baseline:.3f}", (1, baseline), (-2, 3), 8.5, **where)
+    title = f"Objective of the search: {baseline:.3f} → {best[-1]:.3f} after {len(best)} iterations"
     style.tidy(axes, title, ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
     drawn = np.concatenate([best, mean, mean - std, mean + std, [baseline]])

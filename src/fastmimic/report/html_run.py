@@ -223,9 +223,8 @@ class _Metrics:
 def _sections(m: Mapping[str, Any], search: Checkpoint | None, e: RerunEpisodes | None) -> dict[str, list[Figure]]:
     optimisation = []
     if search is not None:
-        fitted, randomized = as_fitted(m["parameters"]), "randomization" in m
         rewards = m["reward"]["before"], m["reward"]["after"]
-        optimisation.append(convergence(search, *rewards, unchanged=fitted, randomized=randomized))
+        optimisation.append(convergence(search, *rewards, unchanged=as_fitted(m["parameters"])))
     if m["parameters"]:
         optimisation.append(parameters(m["parameters"]))
     sections: dict[str, list[Figure]] = {"optimisation": optimisation}
@@ -240,20 +239,18 @@ def _sections(m: Mapping[str, Any], search: Checkpoint | None, e: RerunEpisodes 
     }
 
 
-def convergence(
-    search: Checkpoint, before: float, after: float, *, unchanged: bool = False, randomized: bool = False
-) -> Figure:
+def convergence(search: Checkpoint, before: float, after: float, *, unchanged: bool = False) -> Figure:
     """Scores of the candidates by generation, and their spread; `before` and `after` are rewards of the run.
-    `unchanged` if the motion as fitted is the result, `randomized` if each iteration scored on other robots."""
+    `unchanged` if the motion as fitted is the result."""
     scores = search.scores
     k = np.arange(1, len(scores) + 1)
     mean, std = scores.mean(axis=1), scores.std(axis=1)
-    best = scores.max(axis=1) if randomized else np.maximum.accumulate(scores.max(axis=1))
+    best = np.maximum.accumulate(scores.max(axis=1))
     spread = search.candidates.std(axis=1).mean(axis=1)
     x, mode = k.tolist(), "lines" if len(k) > 2 else "lines+markers"
     band = Key("candidates, ± 1 std", "var(--band)", pattern="")
     average = Key("candidates, mean", "var(--before)", "dot")
-    leader = Key("best of the iteration" if randomized else "best so far", "var(--after)", "solid")
+    leader = Key("best so far", "var(--after)", "solid")
     start = Key("reward before", "var(--demo)", "dash")
     data = [
         draw.line(x, mean - std, Key("", "rgba(0,0,0,0)"), hoverinfo="skip"),
@@ -285,7 +282,6 @@ def convergence(
         ],
         2,
         (leader, average, band, start),
-        "convergence over robots" if randomized else "",
     )
 
 

@@ -29,7 +29,7 @@ from fastmimic.simulation.terrain import TERRAINS, Terrain, TerrainKind, terrain
 OBSERVED: Final = ("truth", "sensors")
 
 GROUND_PURPOSE: Final = 71  # of the random stream
-PUSH_WINDOW_S: Final = 1.0  # length of the window of push times after the usual time: any phase of the gait
+_OTHERS: Final = 4  # the random stream of other robots
 
 
 @dataclass(frozen=True)
@@ -299,27 +299,20 @@ def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> t
     return tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in ranges)
 
 
-def draw(
-    ranges: Sequence[Range], n: int, rng: np.random.Generator, *, nominal_first: bool = False
-) -> tuple[Disturbance, ...]:
-    """Draws n robots by a Latin hypercube: one from each of n equal parts of each range, so that few robots spread. The
-    ranges are of different disturbances. With `nominal_first` the first robot is undisturbed and only the others are
-    drawn. Returns a disturbance of n values for each range; pushes all come at one time."""
-    first = int(nominal_first)
-    found = []
-    for r in ranges:
-        drawn = n - first
-        share = (rng.permutation(drawn) + rng.uniform(size=drawn)) / drawn
+def other_ranges() -> tuple[Range, ...]:
+    """The usual ranges of what never matches a robot's model: ground, load and motors."""
+    return tuple(usual_range(name) for name, kind in DISTURBANCES.items() if kind.differs)
+
+
+def other_robots(n: int) -> tuple[Disturbance, ...]:
+    """n robots that differ from their model over `other_ranges`, the same ones each time: a Latin hypercube, one from
+    each of n equal parts of each range, so that few robots spread. A disturbance of n values for each range."""
+    rng, found = np.random.default_rng([0, _OTHERS]), []
+    for r in other_ranges():
+        share = (rng.permutation(n) + rng.uniform(size=n)) / n
         values = np.minimum(r.lower + (r.upper - r.lower) * share, r.upper)
-        at_s = PUSH_TIME_S + PUSH_WINDOW_S * float(rng.uniform()) if DISTURBANCES[r.name].timed else None
-        nominal = (DISTURBANCES[r.name].nominal,) * first
-        found.append(Disturbance(r.name, (*nominal, *values.tolist()), at_s))
+        found.append(Disturbance(r.name, tuple(values.tolist())))
     return tuple(found)
-
-
-def repeated(robots: Sequence[Disturbance], times: int) -> tuple[Disturbance, ...]:
-    """The same robots `times` over, round after round."""
-    return tuple(replace(d, values=d.values * times) for d in robots)
 
 
 def part(robots: Sequence[Disturbance], rows: slice) -> tuple[Disturbance, ...]:

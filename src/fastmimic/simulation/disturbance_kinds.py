@@ -44,7 +44,7 @@ class DisturbanceKind:
     nominal: float = 0.0  # the value that disturbs nothing
     levels: tuple[float, ...] = ()  # what `fastmimic stress` runs; empty for five from lower to upper
     usual: tuple[float, float] | None = None
-    randomized: bool = False  # whether randomisation varies it by default
+    differs: bool = False  # whether it never matches a robot's model
     per_robot: bool = True  # whether each robot of a batch may have its own value
     timed: bool = False  # whether it happens at a time
     sensed: bool = False  # whether it changes the readings of sensors only, in every simulator
