@@ -99,15 +99,15 @@ def main() -> None:
     parser.add_argument("robots", nargs="*", default=["a1", "go2"])
     parser.add_argument("--minutes", type=float, default=30.0, help="of each case")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--gait", help="one period of an animal, by name or file")
+    parser.add_argument("--gait", nargs="*", default=[], help="one period of an animal's gaits, the slowest first")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     rows = []
     for robot in given.robots:
-        gaits = gait_field(robot, None if given.gait is None else open_clip(given.gait), workers=None)
+        gaits = gait_field(robot, [open_clip(gait) for gait in given.gait], workers=None)
         for name, case in CASES.items():
             found = run(gaits, 60.0 * given.minutes, given.seed, **case)
-            rows.append({"robot": gaits.robot.name, "gait": given.gait or "built-in", "case": name, **found})
+            rows.append({"robot": gaits.robot.name, "gait": ", ".join(given.gait) or "built-in", "case": name, **found})
             print(json.dumps(rows[-1]), flush=True)
     if given.json is not None:
         given.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n")

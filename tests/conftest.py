@@ -44,8 +44,9 @@ def a1(robot: Robot) -> Robot:
 
 @pytest.fixture(scope="session")
 def gaits() -> GaitField:
-    """A field of few gaits of the A1, whose solutions are in the package."""
-    return gait_field("a1", grid=Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5)))
+    """A walk and a trot of the A1 at few velocities, whose solutions are in the package."""
+    few = Grid((0.0, 0.6), (-0.2, 0.2), (1.0, 0.6))
+    return gait_field("a1", grid=Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5)), slow=lambda speed: few)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

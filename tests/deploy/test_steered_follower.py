@@ -19,7 +19,7 @@ from fastmimic.steering.gait_field import GaitField
 @pytest.fixture
 def steered(a1: Robot, standstill: MotionSequence, gaits: GaitField, tmp_path) -> Rig:
     path = tmp_path / "commands.csv"
-    path.write_text("time_s,forwards,left,turn\n0.2,0.6,0,0\n2.2,0.5,0,0.8\n4.2,0,0,0\n5.4,0,0,0\n")
+    path.write_text("time_s,forwards,left,turn\n0.2,0.6,0,0\n2.2,0.5,0,0.8\n4.2,0,0,0\n5.9,0,0,0\n")
     rig = Rig(a1, standstill)
     rig.follower = SteeredFollower(standstill, gaits, CommandScript(path).velocity)
     return rig
@@ -33,13 +33,13 @@ def velocities(done: Deployment, first_s: float, last_s: float) -> tuple[float, 
 
 
 def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) -> None:
-    done = steered.run(duration_s=5.4)
+    done = steered.run(duration_s=5.9)
     assert done.outcome.stopped_by is StopReason.DURATION
     assert done.outcome.phase is DeploymentPhase.DONE
     assert not done.result["fell"]
     assert velocities(done, 1.2, 2.2) == pytest.approx((0.6, 0.0), abs=0.08)
     assert velocities(done, 3.4, 4.2) == pytest.approx((0.5, 0.8), abs=0.12)
-    assert velocities(done, 5.2, 5.4)[0] < 0.03
+    assert velocities(done, 5.7, 5.9)[0] < 0.03, "it stands, its trunk over the middle of its feet"
     wanted = done.log.rows["wanted"][done.log.rows["in_motion"]]
     np.testing.assert_allclose(wanted[[50, 800, 1800, 2500]], [[0, 0, 0], [0.6, 0, 0], [0.5, 0, 0.8], [0, 0, 0]])
     assert 1.5 < done.result["way_m"] < 2.5
@@ -65,4 +65,4 @@ def test_asked_to_sit_down_it_stands_first(steered: Rig) -> None:
     inside = done.log.rows["in_motion"]
     assert velocities(done, 1.2, 1.5)[0] > 0.4, "it went"
     assert 2.0 < inside.sum() / 500 < 3.5
-    assert velocities(done, inside.sum() / 500 - 0.4, inside.sum() / 500)[0] < 0.05, "it stood before it sat down"
+    assert velocities(done, inside.sum() / 500 - 0.2, inside.sum() / 500)[0] < 0.05, "it stood before it sat down"

@@ -45,7 +45,7 @@ def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
     stand, gains = standing(robot), [motion_gains(motion, robot, config) for motion in found]
     rows = [*(course_of(motion, robot) for motion in found), np.repeat(course_of(stand, robot)[:1], n)]
     gains.append(np.repeat(motion_gains(stand, robot, config)[:1], len(gains[0])))
-    steered = Steered(GaitField(robot, *map(np.array, axes), np.stack(rows), np.stack(gains)))
+    steered = Steered(GaitField("trot", robot, *map(np.array, axes), np.stack(rows), np.stack(gains)))
 
     def advance(seconds: float) -> float:
         fastest, table, before = 0.0, np.zeros(1, SAMPLE), None
@@ -69,4 +69,4 @@ def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
 
 def test_a_clip_that_does_not_repeat_is_no_gait() -> None:
     with pytest.raises(ClipError, match=r"jump is not one period of a gait; 'fastmimic segment' finds"):
-        gait_field("a1", open_clip("jump"))
+        gait_field("a1", [open_clip("jump")])

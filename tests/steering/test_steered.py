@@ -68,6 +68,49 @@ def test_it_stands_when_nothing_is_wanted_and_starts_again(gaits: GaitField) -> 
     assert poses[-1, 0] == pytest.approx(poses[-200, 0], abs=2e-3)
 
 
+def test_it_walks_where_it_is_slow_and_trots_where_it_is_fast(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    assert gaits.slower is not None
+    steered.steer(np.array([0.4, 0.0, 0.3]))
+    run(steered, 1.5)
+    assert steered.state == "walk"
+    steered.steer(np.array([0.9, 0.0, 0.3]))
+    up, _, feet = run(steered, 2.0)
+    assert steered.state == "trot"
+    np.testing.assert_allclose(steered.place["velocity"][0], [0.9, 0.0, 0.3], atol=0.01)
+    steered.steer(np.array([0.4, 0.0, 0.0]))
+    down, _, _ = run(steered, 2.0)
+    assert steered.state == "walk"
+    for rows in (up, down):
+        assert np.abs(np.diff(rows["joint_pos"], axis=0)).max() / DT < 1.2 * gaits.robot.joint_speed_limit.max()
+        assert np.abs(np.diff(rows["root_pos"][:, 2])).max() < 1e-3  # m: nothing jumps
+        same = (rows["contact"][1:] == rows["contact"][:-1]).all(axis=1)
+        assert np.flatnonzero(~same)[1:].size > 4  # feet go on stepping
+    stands = (up["contact"][:-1] == 1) & (up["contact"][1:] == 1)
+    assert np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1)[stands].max() < 1e-3
+
+
+def test_a_stick_that_trembles_at_the_walks_top_speed_does_not_change_the_gait(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    top = gaits.chain()[-1].forwards[-1]
+    steered.steer(np.array([top + 0.1, 0.0, 0.0]))
+    run(steered, 2.0)
+    for k in range(20):
+        steered.steer(np.array([top + 0.02 * (-1) ** k, 0.0, 0.0]))
+        run(steered, 0.05)
+        assert steered.state == "trot"
+    steered.steer(np.array([0.8 * top, 0.0, 0.0]))
+    run(steered, 2.0)
+    assert steered.state == "walk"
+
+
+def test_it_stands_in_one_gait_and_starts_in_another(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    steered.steer(np.array([0.9, 0.0, 0.0]))
+    _, _, _ = run(steered, 0.3)
+    assert steered.state == "trot"
+
+
 def test_a_table_ahead_holds_what_comes(gaits: GaitField) -> None:
     steered = Steered(gaits)
     steered.steer(np.array([0.5, 0.1, 0.5]))
@@ -96,7 +139,7 @@ def test_x_and_y_follow_the_robot_once_a_cycle(gaits: GaitField) -> None:
     steered = Steered(gaits)
     steered.steer(np.array([0.5, 0.0, 0.0]))
     run(steered, 1.0)
-    for _ in range(gaits.rows.shape[1]):
+    for _ in range(max(gait.rows.shape[1] for gait in gaits.chain())):
         steered.advance(np.array([7.0, 8.0]))
     assert np.hypot(*(steered.place["pose"][0, :2] - [7.0, 8.0])) < 0.4
     assert steered.place["jump"][0] > 5.0

@@ -278,9 +278,9 @@ def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
 class SteeredBy:
     """With "steer" in place of a motion."""
 
-    gait: Annotated[str | None, option("CLIP")] = None
-    """An animal's gait: one period, or a take, of which the period that repeats best is taken. Default: a built-in
-    trot."""
+    gait: Annotated[tuple[str, ...], option("CLIP ...")] = ()
+    """An animal's gaits, the slowest first: one period each, or a take, of which the period that repeats best is taken.
+    Default: a built-in walk and trot."""
     udp: Annotated[int | None, option("PORT")] = None
     """UDP port of this machine to which velocities come, as JSON like ROS's geometry_msgs/Twist."""
     commands: Annotated[Path | None, option("FILE.csv")] = None
@@ -299,20 +299,12 @@ class SteeredBy:
 
     def gaits(self, robot: str | None) -> "GaitField":
         """The gaits of a robot, by name or file; says how far it is when they are made."""
-        from fastmimic.clips.segment import find_segments
-        from fastmimic.retargeting.retarget import is_one_cycle
-        from fastmimic.steering.gait_field import gait_field
+        from fastmimic.steering.gait_field import gait_field, one_period
 
         name = robot or DEFAULT_ROBOT
-        clip = None if self.gait is None else find_motion(self.gait).open_clip(load_robot(name))
-        cycles = [] if clip is None or is_one_cycle(clip) else [s for s in find_segments(clip) if s.cycle is not None]
-        if clip is not None and cycles:
-            best = max(cycles, key=lambda segment: segment.confidence)
-            first, end = best.cycle or (0, 0)
-            note(f"the gait is frames {first}:{end} of {self.gait}, a {best.footfall} at {best.speed_m_per_s:.2f} m/s")
-            clip = dataclasses.replace(clip.cut(first, end), is_cycle=True)
-        with count_progress("gaits made executable, once for this robot:") as progress:
-            return gait_field(name, clip, progress, workers=None)
+        clips = [one_period(find_motion(gait).open_clip(load_robot(name)), note) for gait in self.gait]
+        with count_progress("velocities made executable, once for this robot:") as progress:
+            return gait_field(name, clips, progress, workers=None)
 
     def check(self, steers: bool, others_steer: bool = True) -> None:
         """Raises `ConfigError` for options that nothing is steered by, or for too many or too few that say how."""

@@ -85,4 +85,4 @@ class Play:
                     gaits.robot, {}, method=self.method, config=config, conditions=conditions, gaits=gaits
                 )
             with PlayPage(session, f"{gaits.robot.name}, steered", self.port, commands) as page:
-                return serve(page, self.steered.gait or opt.STEER, self.port)
+                return serve(page, " and ".join(self.steered.gait) or opt.STEER, self.port)

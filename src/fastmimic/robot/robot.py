@@ -6,7 +6,7 @@ A1 is exactly 1; `tests/control/test_config.py` checks them.
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -111,6 +111,11 @@ class Robot:
         if ' file="' in self.xml:
             return self.spec().compile()
         return mujoco.MjModel.from_xml_string(self.xml)
+
+    @property
+    def said(self) -> str:
+        """All that it consists of, as text, to tell robots apart."""
+        return repr({each.name: getattr(self, each.name) for each in fields(self) if each.repr})
 
     @property
     def content(self) -> bytes:

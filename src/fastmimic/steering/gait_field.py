@@ -1,4 +1,4 @@
-"""A field of gaits: one gait at many velocities, each made executable, to be interpolated between.
+"""A field of gaits: a gait at many velocities, each made executable, to be interpolated between, and slower gaits.
 
 The gait is an animal's, one period of it, or built in. What is changed is the trunk's mean velocity; the feet land
 where the animal puts them under the trunk. So at equal phase the same feet stand: any mixture of neighbours is a gait
@@ -8,7 +8,7 @@ ground has to give their product as centripetal acceleration.
 """
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.clips.clip import Clip
+from fastmimic.clips.segment import find_segments
 from fastmimic.clips.synthesis import GAITS, keypoints
 from fastmimic.episode.loop import share_of_falls
 from fastmimic.executors import Report
@@ -35,7 +36,10 @@ from fastmimic.trajectory.executable import falls_with, nearest_executable
 from fastmimic.trajectory.solved import Remembered
 
 RATE_HZ: Final = 500.0
-_GAIT: Final = dataclasses.replace(GAITS["trot"], speed=0.5, duty=0.55, half_width=0.04, lift=0.09)
+_BUILT_IN: Final = {
+    "walk": dataclasses.replace(GAITS["walk"], half_width=0.04, lift=0.08),
+    "trot": dataclasses.replace(GAITS["trot"], speed=0.5, duty=0.55, half_width=0.04, lift=0.09),
+}
 _SHARES: Final = (1.0, 0.8, 0.6, 0.4)  # of a velocity that are tried
 _KEPT: Final = (
     TrajectoryConfig(keep_time=True, keep_speed=True),
@@ -44,6 +48,7 @@ _KEPT: Final = (
 )
 _SAME_CONTACT: Final = 0.97  # share of a gait's contacts that stay
 _A1_LEG_M: Final = 0.4
+_SEEN: Final = 0.01  # m/s or rad/s
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,11 @@ class Grid:
         forwards, sideways = (tuple(size * v for v in axis) for axis in (self.forwards, self.sideways))
         return Grid(forwards, sideways, self.turning)
 
+    @classmethod
+    def up_to(cls, speed: float) -> "Grid":
+        """That of a gait for low speeds: up to its own one, m/s."""
+        return cls((-0.5 * speed, 0.0, 0.5 * speed, speed), (-speed / 3.0, 0.0, speed / 3.0), (1.0, 1.0, 1.0, 0.6))
+
     def velocities(self) -> list[tuple[float, float, float]]:
         """Those of all gaits (k = a · b · 3): turning to the right, not, and to the left."""
         pairs = zip(self.forwards, self.turning, strict=True)
@@ -68,17 +78,28 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class GaitField:
-    """The gaits of one robot, at `RATE_HZ` control steps a second. The grid's axes are `forwards` (a,) and `sideways`
+    """A gait of one robot by velocity, at `RATE_HZ` control steps a second, and another one that is `slower`. The
+    grid's axes are `forwards` (a,) and `sideways`
     (b,), m/s, and turn rates to the right, none, and to the left, of `turning` (a,), rad/s. `rows` (k + 1, t) of
     `COURSE` are one period of each gait in the order of the axes, and last of standing; `gains` (k + 1, g) of `GAINS`
     are theirs, one for each `GAIN_SAMPLES` rows."""
 
+    name: str
     robot: Robot
     forwards: Array
     sideways: Array
     turning: Array
     rows: NDArray[Any]
     gains: NDArray[Any]
+    slower: "GaitField | None" = None
+
+    def chain(self) -> "list[GaitField]":
+        """This gait and all slower ones."""
+        return [self, *(self.slower.chain() if self.slower is not None else ())]
+
+    def has(self, velocity: Array) -> bool:
+        """Whether it has a velocity (3,), but for what nobody sees."""
+        return bool(np.abs(self.nearest(velocity) - velocity).max() < _SEEN)
 
     def nearest(self, velocity: Array) -> Array:
         """The velocity (3,) of the field that is nearest to one: forwards, to the left, m/s, and turning, rad/s."""
@@ -90,34 +111,73 @@ class GaitField:
 
 def gait_field(
     source: str,
-    clip: Clip | None = None,
+    clips: Sequence[Clip] = (),
     progress: Callable[[int, int], None] = lambda done, count: None,
     *,
     grid: Grid = Grid(),
+    slow: Callable[[float], Grid] = Grid.up_to,
     workers: int | None = 1,
 ) -> GaitField:
-    """The field of a robot, whose name or file is `source`, from one period of an animal's gait, or by default of a
-    built-in trot. It is made once and kept in the user's cache folder: in a minute or two, or in seconds where its
-    solutions are in the package, as those of the A1 and the Go2 with the built-in trot. `progress` is told how many of
-    the gaits are done, and of how many. `workers` processes make it, as many as there are cores if None; a script that
-    asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there is no executable motion near a
-    gait, `ClipError` for a clip that does not repeat."""
-    clip = clip if clip is not None else keypoints(_GAIT, {"name": "trot"})
-    if not is_one_cycle(clip):
-        name = clip.meta.get("name", "the clip")
-        raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
+    """The field of a robot, whose name or file is `source`, from one period each of an animal's gaits, the slowest
+    first, or by default of a built-in walk and trot. The last one has the velocities of `grid`, others those of `slow`
+    up to their own speed. It is made once and kept in the user's cache folder: in a minute or two for each gait, or in
+    seconds where its solutions are in the package, as those of the A1 and the Go2 with the built-in gaits. `progress`
+    is told how many velocities of a gait are done, and of how many. `workers` processes make it, as many as there are
+    cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there is
+    no executable motion near a gait, `ClipError` for a clip that does not repeat."""
     robot = load_robot(source)
-    grid = grid.sized(robot.leg_length / _A1_LEG_M)
+    clips = clips or [keypoints(gait, {"name": name}) for name, gait in _BUILT_IN.items()]
+    for clip in clips:
+        if not is_one_cycle(clip):
+            name = clip.meta.get("name", "the clip")
+            raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
+    size, found = robot.leg_length / _A1_LEG_M, None
+    for k, clip in enumerate(clips):
+        own = grid if k == len(clips) - 1 else slow(_speed(clip, robot) / size)
+        found = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))
+    assert found is not None
+    return found
+
+
+def one_period(clip: Clip, note: Callable[[str], None] = lambda line: None) -> Clip:
+    """A clip of one period, or of a take the period that repeats best, which is noted; a clip without one as it is."""
+    cycles = [] if is_one_cycle(clip) else [s for s in find_segments(clip) if s.cycle is not None]
+    if not cycles:
+        return clip
+    best = max(cycles, key=lambda segment: segment.confidence)
+    first, end = best.cycle or (0, 0)
+    name = clip.meta.get("name", "the clip")
+    note(f"the gait is frames {first}:{end} of {name}, a {best.footfall} at {best.speed_m_per_s:.2f} m/s")
+    return dataclasses.replace(clip.cut(first, end), is_cycle=True)
+
+
+def _speed(clip: Clip, robot: Robot) -> float:
+    """A gait's own speed, m/s, at the robot's size."""
+    motion, _ = retarget(clip, robot, cycle=True, executable=False)
+    assert motion.cycle is not None
+    return float(np.hypot(*motion.cycle[:2]) / motion.period_s)
+
+
+def _field(
+    source: str,
+    clip: Clip,
+    robot: Robot,
+    grid: Grid,
+    slower: GaitField | None,
+    progress: Callable[[int, int], None],
+    executor: LocalExecutor,
+) -> GaitField:
     given = [np.array(grid.velocities()), clip.points_w]
     if clip.root_quat_wxyz is not None:
         given.append(clip.root_quat_wxyz)
-    known = Remembered(repr(("gait field", robot, clip.rate_hz, clip.scale)), given, outcome=True)
+    known = Remembered(repr(("gait field", robot.said, clip.rate_hz, clip.scale)), given, outcome=True)
     found = known.read()
     if found is None:
-        found = _made(source, clip, robot, grid, progress, LocalExecutor(workers))
+        found = _made(source, clip, robot, grid, progress, executor)
         known.keep(found, packaged=False)  # it is large, and made of what is
     rows, gains = (found[name].view(kind)[..., 0] for name, kind in (("rows", COURSE), ("gains", GAINS)))
-    return GaitField(robot, np.array(grid.forwards), np.array(grid.sideways), np.array(grid.turning), rows, gains)
+    axes = [np.array(axis) for axis in (grid.forwards, grid.sideways, grid.turning)]
+    return GaitField(str(clip.meta.get("name", "gait")), robot, axes[0], axes[1], axes[2], rows, gains, slower)
 
 
 def _made(

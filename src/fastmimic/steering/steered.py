@@ -5,8 +5,13 @@ swings leaves from there and comes to where the present mixture of gaits has it;
 against that (the lean of an inverted pendulum). So the velocity can change at any moment, and no foot slides. The
 wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands as soon as all
 feet are on the ground.
+
+Where a field has a slower gait that can do what is wanted, such as a walk, the robot goes over to it, and back, at the
+next moment at which the same feet stand in both. Feet go on from where they are, and what else differs fades (as in
+games: Bollo 2018, "Inertialization").
 """
 
+from itertools import chain, permutations
 from typing import Any, Final
 
 import numpy as np
@@ -16,10 +21,10 @@ from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
-from fastmimic.base.rotations import rotate_planar
 from fastmimic.base.vectors import copy
 from fastmimic.reference.course import make_work, put_at, put_joints, to_body
 from fastmimic.reference.table import GAIN_SAMPLES
+from fastmimic.steering.gait import LANDED, Gait
 from fastmimic.steering.gait_field import RATE_HZ, GaitField
 
 _ACCELERATION: Final = (2.0, 1.5, 6.0)  # forwards and sideways, m/s², and turning, rad/s²
@@ -28,12 +33,15 @@ _SETTLE_S: Final = 0.25  # time constant of the last approach to the wanted velo
 _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is below that can stand
 _STAND_S: Final = 0.15  # between a gait and standing
 _CENTRED_S: Final = 0.3  # time constant with which a standing trunk moves to the middle of its feet
-_LOW_M: Final = 0.002
-_LANDED: Final = 0.95  # share of a swing at whose end its foot is where the gaits have it
+_FADE_S: Final = 0.25  # in which the difference of two gaits fades
+
+_TURN, _HEIGHT, _TILT, _MOTION, _FOOT, _ROLL = 2, 3, slice(4, 8), 8, 26, 38  # columns of a gait's values
+_WIDTH: Final = 46
+_FEET: Final = np.array([[_FOOT + 3 * leg, _FOOT + 3 * leg + 1] for leg in range(4)])
 
 STEERED: Final = record_dtype(
     [
-        *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=()),
+        *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=(), fades=(), offset=_WIDTH),
         *floats(
             foothold=(4, 2), away=(4, 2), lifted=(4, 2), leaving=(4, 2), since=4, lasts=4, before=(4, 3), feet=(4, 3)
         ),
@@ -42,47 +50,44 @@ STEERED: Final = record_dtype(
 )
 """A steered reference: the `position` in the gaits' period, rows; x, y, m, and yaw, rad, of its root; the `wanted`
 velocity, the present one and its rate, heading frame, m, rad, s; the share of standing in the mixture; the sum of the
-distances moved by synchronisation, m. Of each foot: its place while it stands, world, m; how far `away` it is from
+distances moved by synchronisation, m; the `offset` of the gait before from the present one, which `fades` from 1 to
+0. Of each foot: its place while it stands, world, m; how far `away` it is from
 where the gaits have it, heading frame, m, and how far when it lifted off, `leaving` at so many m/s; the time since then
 and until it is where the gaits have it, s; where the `feet` are, and were `before` the last step, body frame, m."""
-
-_COLUMNS: Final = {
-    **{"step": 2, "turn": 1, "root_z": 1, "tilt": 4, "lin_vel": 3, "ang_vel": 3, "lin_acc": 3, "ang_acc": 3},
-    **{"leg_lin_acc": 3, "leg_ang_acc": 3, "foot": 12},
-}  # of `COURSE`, which are mixed
-_WIDTH: Final = sum(_COLUMNS.values()) + 8  # and how far each foot that stands rolls on the ground in a row
-_TURN, _HEIGHT, _TILT, _MOTION, _FOOT, _ROLL = 2, 3, slice(4, 8), 8, 26, 38
 
 _MIXTURE: Final = record_dtype([*floats(weight=9, values=_WIDTH, tilt=4), *integers(gait=9)])
 
 
 class Steered:
-    """The steered reference of one robot: `place` is (1,) of `STEERED`, `gains` are (g,) of `GAINS`, those of the gaits
-    one after another. Not thread-safe. It can take the place of a `LiveReference`."""
+    """The steered reference of one robot: `place` is (1,) of `STEERED`, `gains` are (g,) of `GAINS`, those of the
+    present gait's velocities one after another. Not thread-safe. It can take the place of a `LiveReference`."""
 
     motion = goal = "steer"
     trouble = None
     demonstration = None  # recovery steps would be another gait; those of a trot can go anywhere as they are
 
     def __init__(self, field: GaitField) -> None:
-        n_gaits, n = field.rows.shape
-        columns = [field.rows[name].reshape(n_gaits, n, -1) for name in _COLUMNS]
-        values = np.concatenate([*columns, _rolls(field.rows)], axis=-1)
-        tilt = values[..., _TILT]
-        tilt *= np.where(np.sum(tilt * tilt[-1, 0], axis=-1, keepdims=True) < 0, -1.0, 1.0)
-        contact = np.ascontiguousarray(field.rows["contact"][n_gaits // 2 - 1])  # of the gait in the field's middle
-        until = np.array([np.argmax(np.roll(contact, -row, axis=0) != 0, axis=0) for row in range(n)])  # 0 in stance
-        schedule = contact, until, _stops(contact, field.rows["foot"][n_gaits // 2 - 1, ..., 2].max(axis=-1))
-        self.field, self.gains = field, field.gains.reshape(-1)
+        self.field = field
+        self._gaits = [Gait(each) for each in reversed(field.chain())]  # the slowest first
+        self._ways = {(one, other): one.rows_from(other) for one, other in permutations(self._gaits, 2)}
+        self._gait = self._gaits[0]
         self.place = np.zeros(1, STEERED)
         self._scratch = self.place.copy()
-        self._given = (field.forwards, field.sideways, field.turning), values, schedule, field.gains.shape[1]
         self._work = np.zeros(1, _MIXTURE)[0], make_work(field.robot, 1.0 / RATE_HZ)[0]
+        self._asked = np.zeros(3)
         self.put(0.0, 0.0, 0.0)
 
     @property
+    def _given(self) -> Any:
+        return self._gait.given
+
+    @property
+    def gains(self) -> NDArray[Any]:
+        return self._gait.gains
+
+    @property
     def state(self) -> str:
-        return "standing" if self.place["stands"][0] > 0 else "following the stick"
+        return "standing" if self.place["stands"][0] > 0 else self._gait.field.name
 
     def put(self, x: float, y: float, yaw: float) -> None:
         """Begins to stand here in the world, m and rad; what is wanted stays."""
@@ -99,8 +104,9 @@ class Steered:
         the field, which it takes. Raises `ConfigError` if it is not three finite numbers."""
         if np.shape(velocity) != (3,) or not np.isfinite(velocity).all():
             raise ConfigError(f"a velocity to steer to has three numbers, found {velocity}")
-        self.place["wanted"] = self.field.nearest(velocity)
-        return np.array(self.place["wanted"][0])
+        self._asked = self.field.nearest(velocity)
+        self.place["wanted"] = self._gait.field.nearest(self._asked)
+        return np.array(self._asked)
 
     def update(self) -> None:
         """Nothing: all happens in `advance`."""
@@ -109,6 +115,7 @@ class Steered:
         """Advances by a control step that ended with the base at (2,), world, m, which x and y follow at the start of a
         cycle. With the controller's `haste` the feet advance by so much more."""
         place = self.place
+        self._change_gait()
         _advance(*self._given, place[0], *self._work, 1.0 + max(haste, 0.0))
         if place["synced"][0]:
             moved = base_xy - place["pose"][0, :2]
@@ -122,21 +129,44 @@ class Steered:
         self._scratch[0] = self.place[0]
         _fill(*self._given, self._scratch[0], *self._work, rows)
 
+    def _change_gait(self) -> None:
+        """Goes over to the slowest gait that has what is wanted, as soon as it has the present velocity and the same
+        feet stand."""
+        place, now = self.place[0], self._gait
+        k = self._gaits.index(now) if place["standing"] == 0 else len(self._gaits) - 1
+        slower = (gait for gait in self._gaits[:k] if gait.takes_over(self._asked, place["velocity"]))
+        others = (gait for gait in self._gaits[k:] if gait.field.has(self._asked))
+        wanted = next(chain(slower, others), now)
+        if wanted is now:
+            return
+        if place["standing"] == 1 and place["stands"] == 1.0:
+            self._gait = wanted
+            _put(*wanted.given, place, *self._work)
+        elif place["stands"] == 0.0 and (row := self._ways[wanted, now][int(place["position"])]) >= 0:
+            self._go_over(wanted, row)
+        place["wanted"] = self._gait.field.nearest(self._asked)
 
-def _rolls(rows: NDArray[Any]) -> Array:
-    """How far each foot that stands moves on the ground until the next row, as a ball does, (k, t, 8), m."""
-    feet, stands = rows["foot"][..., :2], rows["contact"][..., None] != 0
-    after = rotate_planar(rows["turn"][..., None], np.roll(feet, -1, axis=1)) + rows["step"][:, :, None]
-    rolls = (after - feet) * (stands & np.roll(stands, -1, axis=1))
-    rolls[-1] = 0.0  # who stands does not roll
-    return np.asarray(rolls.reshape(*rows.shape, 8))
+    def _go_over(self, gait: Gait, row: int) -> None:
+        place, scratch = self.place[0], self._scratch[0]
+        self._scratch[0] = place
+        _advance(*self._given, scratch, *self._work, 1.0)
+        before, after = self._values(place), self._values(scratch)
+        feet = before[_FEET] + place["away"]
+        speed = (after[_FEET] + scratch["away"] - feet) * RATE_HZ
+        self._gait, place["position"], place["fades"] = gait, row, 0.0
+        self._scratch[0] = place
+        scratch["position"] = (row + 1) % gait.n
+        own, then = self._values(place), self._values(scratch)
+        place["offset"][:_ROLL] = (before - own)[:_ROLL]
+        place["offset"][_FEET], place["fades"] = 0.0, 1.0
+        place["away"] = feet - own[_FEET]
+        place["lifted"], place["leaving"] = place["away"], speed - (then - own)[_FEET] * RATE_HZ
+        place["since"], place["lasts"] = 0.0, LANDED * np.maximum(gait.until[row], 1) / RATE_HZ
 
-
-def _stops(contact: NDArray[Any], height: Array) -> NDArray[np.int64]:
-    """Whether the robot can come to stand at a row (t,): where as many feet stand as ever, and the others are at their
-    lowest; of the greatest `height` of a foot, m."""
-    most = contact.sum(axis=1) == contact.sum(axis=1).max()
-    return np.asarray(most & (height <= height[most].min() + _LOW_M), np.int64)
+    def _values(self, place: Any) -> Array:
+        """What the present gait has at a place (`_WIDTH`,)."""
+        _mix(*self._given[:2], place, self._work[0])
+        return np.array(self._work[0]["values"])
 
 
 @inlined
@@ -176,6 +206,10 @@ def _mix(grid: Any, values: Array, s: Any, mixture: Any) -> None:
         now, then = values[mixture.gait[g], row], values[mixture.gait[g], (row + 1) % n]
         for column in range(_WIDTH):
             mixture.values[column] += mixture.weight[g] * ((1.0 - u) * now[column] + u * then[column])
+    if s.fades > 0.0:
+        left = s.fades * s.fades * (3.0 - 2.0 * s.fades)
+        for column in range(_WIDTH):
+            mixture.values[column] += left * s.offset[column]
     norm = 0.0
     for column in range(4, 8):
         norm += mixture.values[column] ** 2
@@ -205,7 +239,7 @@ def _feet(schedule: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
         else:
             if s.swings[leg] == 0:
                 s.swings[leg], s.since[leg] = 1, 0.0
-                s.lasts[leg] = _LANDED * max(until[row, leg], 1) * work.dt
+                s.lasts[leg] = LANDED * max(until[row, leg], 1) * work.dt
                 copy(s.away[leg], s.lifted[leg])
             u = min(s.since[leg] / s.lasts[leg], 1.0)
             moved = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
@@ -247,6 +281,7 @@ def _advance(
     for k in range(3):
         still = still and abs(s.wanted[k]) < _STILL[k]
     _change_velocity(s, dt)
+    s.fades = max(s.fades - dt / _FADE_S, 0.0)
     if s.standing == 1:
         s.stands = min(s.stands + dt / _STAND_S, 1.0)
         if s.stands == 1.0 and not still:

@@ -145,7 +145,7 @@ def falls_with(falls: Callable[[Robot, Motion], float], robot: Robot, motion: Mo
         return falls(robot, motion)
     names = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "root_lin_vel_w", "root_ang_vel_w", "contact")
     given = [*(getattr(motion, name) for name in names), np.zeros(3) if motion.cycle is None else motion.cycle]
-    known = Remembered(repr((falls.__qualname__, robot, motion.rate_hz)), given, outcome=True)
+    known = Remembered(repr((falls.__qualname__, robot.said, motion.rate_hz)), given, outcome=True)
     if (found := known.read()) is None:
         found = {"fell": np.array(falls(robot, motion))}
         known.keep(found)

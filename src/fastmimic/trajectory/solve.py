@@ -70,7 +70,7 @@ def _answer(
     inside = abs(smooth) @ outside == 0.0
     smooth, wanted = smooth[inside][:, used], wanted[inside]
     parts = (problem.given[nodes], low, high, *within, smooth.data, wanted, first)
-    known = Remembered(repr((problem.config, problem.robot)), [index, *parts])
+    known = Remembered(repr((problem.config, problem.robot.said)), [index, *parts])
     if (found := known.read()) is not None:
         return found
     solver, (least, most) = make_solver(

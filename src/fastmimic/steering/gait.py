@@ -1,0 +1,88 @@
+"""One gait of a steered robot as the kernels take it, and where another one can go over to it."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fastmimic.base.arrays import Array
+from fastmimic.base.rotations import rotate_planar
+from fastmimic.steering.gait_field import RATE_HZ, GaitField
+
+LANDED: Final = 0.95  # share of a swing at whose end its foot is where the gaits have it
+_LOW_M: Final = 0.002
+_SPARE: Final = 1.1  # so that a stick that trembles does not change the gait
+_ENOUGH_S: Final = 0.15  # time until a foot that stands lifts off that is as good as more
+_NOW_S: Final = 0.03  # time from a change that a foot makes at once
+_SWITCH: Final = 3.0  # weight of that time
+_NEARLY, _SMALL = 1.5, 1e-4  # a moment whose cost, s², is at most so many times the least one, and so much more
+_COLUMNS: Final = (
+    *("step", "turn", "root_z", "tilt", "lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc"),
+    "foot",
+)  # of `COURSE`, which are mixed
+
+
+class Gait:
+    """A gait of `field` at all its velocities, `n` rows a period: what kernels are `given` (the grid, values (k, n, w),
+    the schedule, gains for each velocity) and the `gains` (g,). `until` (n, 4) has the rows until a foot lands, 0 in
+    stance."""
+
+    def __init__(self, field: GaitField) -> None:
+        n_gaits, self.n = field.rows.shape
+        columns = [field.rows[name].reshape(n_gaits, self.n, -1) for name in _COLUMNS]
+        # and how far each foot that stands rolls on the ground in a row
+        values = np.concatenate([*columns, _rolls(field.rows)], axis=-1)
+        tilt = values[..., 4:8]
+        tilt *= np.where(np.sum(tilt * tilt[-1, 0], axis=-1, keepdims=True) < 0, -1.0, 1.0)
+        middle = field.rows[n_gaits // 2 - 1]
+        self.field, self.gains = field, field.gains.reshape(-1)
+        self.contact = np.ascontiguousarray(middle["contact"])
+        self.until = _rows_until(self.contact != 0)
+        schedule = self.contact, self.until, _stops(self.contact, middle["foot"][..., 2].max(axis=-1))
+        self.given = (field.forwards, field.sideways, field.turning), values, schedule, field.gains.shape[1]
+        stands = self.contact != 0
+        # s until a foot lands or lifts off, and since it did
+        self._change_s = np.maximum(self.until, _rows_until(~stands)) / RATE_HZ
+        self._since_s = np.maximum(_rows_until(stands[::-1]), _rows_until(~stands[::-1]))[::-1] / RATE_HZ
+
+    def takes_over(self, wanted: Array, velocity: Array) -> bool:
+        """Whether it has a wanted velocity (3,) with something to spare, and the present one, so that a faster gait can
+        go over to it."""
+        return self.field.has(_SPARE * wanted) and self.field.has(velocity)
+
+    def rows_from(self, other: "Gait") -> NDArray[np.int64]:
+        """For each row of another gait (m,) the row of this one to go over to; -1 where it is better to wait.
+
+        The same feet should stand, and land and lift off as soon. A foot may lift off or land at that moment, if it
+        would have done so about then."""
+        before, after = other.contact[:, None] != 0, self.contact[None] != 0
+        changes_s, changed_s = self._change_s[None], other._change_s[:, None]
+        since_s = np.where(self._since_s > _NOW_S, np.inf, self._since_s)[None]
+        apart = changes_s - changed_s
+        apart = np.where(before & after, np.minimum(changes_s, _ENOUGH_S) - np.minimum(changed_s, _ENOUGH_S), apart)
+        apart = np.where(before & ~after, _SWITCH * since_s, apart)
+        apart = np.where(~before & after, _SWITCH * np.where(changed_s > _NOW_S, np.inf, changed_s), apart)
+        cost = (apart**2).sum(axis=-1)
+        least = cost.min(axis=1)
+        return np.where(least <= _NEARLY * least.min() + _SMALL, cost.argmin(axis=1), -1)
+
+
+def _rows_until(events: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows until the next one at which something is so (n, 4), 0 where it is."""
+    return np.array([np.argmax(np.roll(events, -row, axis=0), axis=0) for row in range(len(events))])
+
+
+def _rolls(rows: NDArray[Any]) -> Array:
+    """How far each foot that stands moves on the ground until the next row, as a ball does, (k, t, 8), m."""
+    feet, stands = rows["foot"][..., :2], rows["contact"][..., None] != 0
+    after = rotate_planar(rows["turn"][..., None], np.roll(feet, -1, axis=1)) + rows["step"][:, :, None]
+    rolls = (after - feet) * (stands & np.roll(stands, -1, axis=1))
+    rolls[-1] = 0.0  # who stands does not roll
+    return np.asarray(rolls.reshape(*rows.shape, 8))
+
+
+def _stops(contact: NDArray[Any], height: Array) -> NDArray[np.int64]:
+    """Whether the robot can come to stand at a row (t,): where as many feet stand as ever, and the others are at their
+    lowest; of the greatest `height` of a foot, m."""
+    most = contact.sum(axis=1) == contact.sum(axis=1).max()
+    return np.asarray(most & (height <= height[most].min() + _LOW_M), np.int64)
