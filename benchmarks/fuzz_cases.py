@@ -330,7 +330,7 @@ def _motions(scratch: Path) -> list[Case]:
     """Robot motions, and checkpoints."""
     from fastmimic.commands.evaluate import Evaluate
     from fastmimic.commands.motion_files import Export, Inspect
-    from fastmimic.commands.options import ClipOptions
+    from fastmimic.commands.options import ClipOptions, SteeredBy
     from fastmimic.motion.motion import Motion
     from fastmimic.optimize.cma_es import Checkpoint
     from fastmimic.runs.loading import load_motion
@@ -347,7 +347,7 @@ def _motions(scratch: Path) -> list[Case]:
             form, ending = pick(draw, (("mjlab", "npz"), ("csv", "csv"), ("deepmimic", "txt"), ("amp", "txt")))
             Export(motion=str(path), format=form, out=folder / f"out.{ending}", clip=clip).run()
         elif how == 1:
-            Evaluate(motion=str(path), duration=0.1, clip=clip).run()
+            Evaluate(motion=str(path), duration=0.1, clip=clip, steered=SteeredBy()).run()
         elif how <= 4:
             Inspect(source=str(path), clip=clip).run()
         else:
@@ -363,7 +363,7 @@ def _motions(scratch: Path) -> list[Case]:
 def _logs(scratch: Path) -> list[Case]:
     """Logs of runs, of deployments, and of the simulated robot."""
     from fastmimic.commands.evaluate import Evaluate, Identify
-    from fastmimic.commands.options import ClipOptions
+    from fastmimic.commands.options import ClipOptions, SteeredBy
     from fastmimic.control.config import ControllerConfig
     from fastmimic.deploy import log as logs
     from fastmimic.deploy.log_file import LogFile
@@ -400,7 +400,7 @@ def _logs(scratch: Path) -> list[Case]:
         if draw(st.booleans()):
             Identify(log=path).run()
         else:
-            Evaluate(motion=str(path), clip=ClipOptions()).run()
+            Evaluate(motion=str(path), clip=ClipOptions(), steered=SteeredBy()).run()
 
     def other_facts(folder: Path, draw: Draw) -> None:
         facts = changed_value(draw, copy.deepcopy(meta))

@@ -10,17 +10,17 @@ every 10 s. A robot that falls gets up and goes on.
 import argparse
 import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fastmimic.base.arrays import Array
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.play.follow import SteeringFigures, follow
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.steering.commands import CommandErrors
 from fastmimic.steering.gait_field import GaitField, gait_field
 
 EPISODE_S = 30.0
@@ -31,67 +31,6 @@ CASES: dict[str, dict[str, Any]] = {
     "pushes of 0.5 m/s": {"push": 0.5},
     "rough, 2 cm": {"terrain": "rough=0.02"},
 }
-
-
-@dataclass(frozen=True)
-class Command:
-    """A velocity wanted from a time on, s: forwards and to the left, m/s, turning to the left, rad/s."""
-
-    time_s: float
-    velocity: tuple[float, float, float]
-
-
-@dataclass
-class SteeringFigures:
-    """What came of commands: `seconds` simulated, `falls`, the number of commands beyond the gaits, which the nearest
-    velocity was taken for, and the errors."""
-
-    seconds: float = 0.0
-    falls: int = 0
-    beyond: int = 0
-    errors: CommandErrors = field(default_factory=CommandErrors)
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON-serialisable."""
-        return {
-            "minutes": self.seconds / 60.0,
-            "commands": len(self.errors.velocity),
-            "commands_beyond_the_gaits": self.beyond,
-            "falls": self.falls,
-            **self.errors.as_dict(),
-        }
-
-
-def follow(
-    session: LiveSession,
-    commands: Sequence[Command],
-    seconds: float,
-    found: SteeringFigures,
-    go_on: Callable[[], bool] = lambda: True,
-) -> SteeringFigures:
-    """Runs a steered session through a script for so many simulated seconds, or while `go_on`, asked after each control
-    step, says so; adds what came of it to the figures. The errors are from the script's velocities, whether the gaits
-    have them or not."""
-
-    ends = [command.time_s for command in commands[1:]] + [seconds]
-    begins, states, wanted, fell = session.time_s, [], [], []
-    going = True
-    for command, end in zip(commands, ends, strict=True):
-        taken = session.steer(command.velocity)
-        found.beyond += bool(np.abs(taken - command.velocity).max() > 1e-6)
-        while going and session.time_s - begins < min(end, seconds) - 1e-9:
-            falls = session.falls
-            session.step()
-            states.append(session.observation.copy())
-            wanted.append(command.velocity)
-            fell.append(session.falls > falls)
-            going = go_on()
-        if not going:
-            break
-    found.falls += sum(fell)
-    found.seconds += session.time_s - begins
-    found.errors.add(np.array(states), np.array(wanted), session.dt, np.array(fell))
-    return found
 
 
 def main() -> None:
@@ -132,13 +71,14 @@ def run(gaits: GaitField, seconds: float, seed: int, push: float = 0.0, terrain:
     return figures.as_dict() | {"control_us": {"median": float(median), "p99": float(p99)}}
 
 
-def commands(rng: np.random.Generator) -> list[Command]:
-    found, at = [], 0.0
+def commands(rng: np.random.Generator) -> Callable[[float], Array]:
+    """The velocity wanted at a time, s: forwards and to the left, m/s, turning to the left, rad/s."""
+    times, velocities, at = [], [], 0.0
     while at < EPISODE_S:
-        velocity = rng.uniform(0.0, 1.5), rng.uniform(-0.4, 0.4), rng.uniform(-2.0, 2.0)
-        found.append(Command(at, velocity))
+        velocities.append(np.array([rng.uniform(0.0, 1.5), rng.uniform(-0.4, 0.4), rng.uniform(-2.0, 2.0)]))
+        times.append(at)
         at += rng.uniform(1.0, 4.0)
-    return found
+    return lambda time_s: velocities[int(np.searchsorted(times, time_s, side="right")) - 1]
 
 
 if __name__ == "__main__":

@@ -3,26 +3,31 @@
 import json
 import socket
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from steer import Command, SteeringFigures, follow
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
+from fastmimic.play.follow import SteeringFigures, follow
 from fastmimic.play.page import Pacer
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.steering.commands import CommandSocket
 from fastmimic.steering.gait_field import GaitField
 
-SCRIPT = [Command(0.0, (0.0, 0.0, 0.0)), Command(1.0, (0.6, 0.0, 0.0)), Command(4.0, (0.3, 0.15, 0.8))]
+SCRIPT = ((0.0, (0.0, 0.0, 0.0)), (1.0, (0.6, 0.0, 0.0)), (4.0, (0.3, 0.1, 0.4)))
+
+
+def script(time_s: float) -> np.ndarray:
+    return np.array([velocity for at, velocity in SCRIPT if at <= time_s][-1])
 
 
 @pytest.mark.parametrize("observe", ["truth", "sensors"])
 def test_a_robot_follows_a_script(gaits: GaitField, observe: str) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits, conditions=Conditions(observe=observe))
-    found = follow(session, SCRIPT, 7.0, SteeringFigures()).as_dict()
+    found = follow(session, script, 7.0, SteeringFigures()).as_dict()
     assert found["falls"] == 0
     assert found["commands"] == 3
     assert found["commands_beyond_the_gaits"] == 0
@@ -30,7 +35,10 @@ def test_a_robot_follows_a_script(gaits: GaitField, observe: str) -> None:
     assert found["velocity_error_m_s"] < 0.06
     assert found["yaw_rate_error_rad_s"] < 0.06
     assert 100 < found["response_ms"] < 900
-    follow(session, [Command(0.0, (0.0, 0.0, 0.0))], 2.0, SteeringFigures())
+    assert set(found["share_of_time"]) == {"standing", "walk", "trot"}
+    assert sum(found["share_of_time"].values()) == pytest.approx(1.0)
+    assert 1.5 < found["way_m"] < 3.0
+    follow(session, lambda time_s: np.zeros(3), 2.0, SteeringFigures())
     assert session.reference.state == "standing"
 
 
@@ -43,7 +51,7 @@ def test_a_robot_that_falls_gets_up_and_goes_on(gaits: GaitField) -> None:
     assert session.falls == 1
     assert not session.fallen
     before = float(session.observation["root_pos"][0])
-    found = follow(session, [Command(0.0, (0.5, 0.0, 0.0))], 3.0, SteeringFigures())
+    found = follow(session, lambda time_s: np.array([0.5, 0.0, 0.0]), 3.0, SteeringFigures())
     assert found.falls == 0
     assert float(session.observation["root_pos"][0]) > before + 0.5
 
@@ -81,3 +89,33 @@ def test_only_a_steered_robot_listens(capsys: pytest.CaptureFixture[str]) -> Non
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
     assert main(["play", "trot", "--udp", "9870"]) == 2
     assert "--udp steers a robot; give 'steer'" in capsys.readouterr().err
+
+
+def test_evaluate_steers_by_a_script(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, gaits: GaitField, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fastmimic.steering.gait_field.gait_field", lambda *_, **__: gaits)
+    path = tmp_path / "way.csv"
+    path.write_text("0.2,0.5,0,0\n2.2,0,0,0\n3,0,0,0\n")
+    assert main(["evaluate", "steer", "--commands", str(path), "--observe", "sensors", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["falls"], found["commands"]) == (0, 2)
+    assert found["minutes"] == pytest.approx(3.0 / 60.0)
+    assert 0.5 < found["way_m"] < 1.5
+    assert main(["evaluate", "steer", "--commands", str(path), "--duration", "1"]) == 0
+    assert "steered for 1 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--udp", "9870"], "takes velocities from --commands FILE.csv"),
+        ([], "give one of them"),
+        (["--commands", "way.csv", "--episodes", "3"], "--episodes is for a motion"),
+        (["--commands", "way.csv", "--simulator", "pybullet"], "steered in mujoco only, not in pybullet"),
+        (["--commands", "nowhere.csv"], "nowhere.csv has no velocities"),
+    ],
+)
+def test_what_evaluate_cannot_steer_by(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "steer", *arguments]) == 2
+    assert said in capsys.readouterr().err

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, LogError, naming
@@ -17,6 +17,7 @@ from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot import ROBOT_CHOICES, load_robot
 from fastmimic.simulation.conditions import Conditions
+from fastmimic.simulation.simulators import FIRST_SIMULATOR
 
 if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
@@ -32,7 +33,7 @@ class Evaluate:
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
-    deployment, scored without simulation."""
+    deployment, scored without simulation. "steer": the robot goes at the velocities of --commands."""
     episodes: int = 1
     """Number of episodes."""
     duration: opt.Seconds = None
@@ -52,10 +53,12 @@ class Evaluate:
     truth: Annotated[Path | None, opt.option("FILE")] = None
     """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     json: opt.JsonFlag = False
+    steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
     clip: opt.ClipReading
 
     def run(self) -> int:
         opt.check_duration(self.duration)
+        self.steered.check(self.motion == opt.STEER, others_steer=False)
         if is_deployment_log(self.motion):
             return self._deployed()
         check_truth(self.motion, self.truth)
@@ -65,6 +68,8 @@ class Evaluate:
         conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb), estimator=estimator)
         if self.foot_force != "auto" and self.observe != "sensors":
             raise ConfigError("--foot-force is for a controller that sees sensors; add --observe sensors")
+        if self.motion == opt.STEER:
+            return self._steered(conditions)
         robot, motion = self.clip.load(self.motion, self.robot)
         controller = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
         with slow_start():
@@ -77,19 +82,54 @@ class Evaluate:
                 controller=controller,
                 conditions=conditions,
             )
-        figures = evaluation.as_dict() | {
-            "simulator": conditions.simulator,
-            "disturbances": {d.name: d.values[0] for d in conditions.disturbances},
-            "terrain": self.terrain,
-        }
+        figures = evaluation.as_dict() | self._world(conditions)
         if self.json:
             put_json(figures)
             return 0
         note(provenance(motion))
         put_figures(figures, robot.name)
-        if conditions.simulator != "mujoco" or conditions.disturbances or conditions.terrain is not None:
-            said = f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}"
-            put(said if conditions.terrain is None else f"{said}; ground: {conditions.terrain}")
+        put_world(conditions)
+        return 0
+
+    def _world(self, conditions: Conditions) -> dict[str, Any]:
+        disturbances = {d.name: d.values[0] for d in conditions.disturbances}
+        return {"simulator": conditions.simulator, "disturbances": disturbances, "terrain": self.terrain}
+
+    def _steered(self, conditions: Conditions) -> int:
+        """Steers a robot by a script, as fast as it can be simulated."""
+        from fastmimic.play.follow import SteeringFigures, follow
+        from fastmimic.play.session import LiveSession
+        from fastmimic.steering.commands import CommandScript
+
+        if self.steered.commands is None:
+            raise ConfigError("a simulation that does not wait for the clock takes velocities from --commands FILE.csv")
+        for name in (*opt.given(self, "episodes", "method", "policy", "truth"), *opt.given(self.clip)):
+            raise ConfigError(f"{name} is for a motion; leave it out to steer")
+        if conditions.simulator != FIRST_SIMULATOR:
+            raise ConfigError(f"a robot is steered in {FIRST_SIMULATOR} only, not in {conditions.simulator}")
+        script, gaits = CommandScript(self.steered.commands), self.steered.gaits(self.robot)
+        with slow_start():
+            config = self.config or "default"
+            session = LiveSession(gaits.robot, {}, config=config, conditions=conditions, gaits=gaits)
+            seconds = self.duration or script.end_s or 0.0
+            found = follow(session, script.velocity, seconds, SteeringFigures()).as_dict()
+        if self.json:
+            put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))
+            return 0
+        put(f"{gaits.robot.name}, steered for {seconds:g} s by {self.steered.commands}")
+        gait = ", ".join(f"{name} {share:.0%}" for name, share in found["share_of_time"].items())
+        errors = f"{number(found['velocity_error_m_s'])} m/s, {number(found['yaw_rate_error_rad_s'])} rad/s"
+        put_table(
+            [
+                ("falls", str(found["falls"])),
+                ("way, m", number(found["way_m"], 1)),
+                ("time", gait),
+                ("velocities beyond the gaits", f"{found['commands_beyond_the_gaits']} of {found['commands']}"),
+                ("velocity error, median", errors),
+                ("response, median, ms", number(found["response_ms"], 0)),
+            ]
+        )
+        put_world(conditions)
         return 0
 
     def _deployed(self) -> int:
@@ -107,6 +147,13 @@ class Evaluate:
         put_figures(figures, robot.name)
         put(f"deployed by driver '{log.meta['driver']}'; scored by {reference}")
         return 0
+
+
+def put_world(conditions: Conditions) -> None:
+    """Prints where episodes ran, if not where motions are optimised."""
+    if conditions.simulator != "mujoco" or conditions.disturbances or conditions.terrain is not None:
+        said = f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}"
+        put(said if conditions.terrain is None else f"{said}; ground: {conditions.terrain}")
 
 
 def put_figures(figures: dict[str, Any], robot: str) -> None:
