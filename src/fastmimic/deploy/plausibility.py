@@ -45,7 +45,7 @@ Doubt = tuple[str, str]
 
 
 _SUMS: Final = record_dtype(
-    [*floats(turn=3, slip=12, path=12, beyond=12, mean=3, joints_then=(15, 12), wanted_then=12), *integers(still=15)]
+    [*floats(turn=3, slip=12, path=12, beyond=12, accel=3, joints_then=(15, 12), wanted_then=12), *integers(still=15)]
 )
 """What readings add up to: the orientation's turn beyond the gyroscope's, rad; of each joint, its angle beyond its
 speed's integral, its way, and the former beyond a share of the latter, rad; the mean acceleration in the world, m/s².
@@ -93,7 +93,7 @@ def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: A
     turn, slip, mean = math.exp(-elapsed_s / _TURN_S), math.exp(-elapsed_s / _SLIP_S), math.exp(-elapsed_s / _GRAVITY_S)
     told, turned = _in_world(now.quat, now.accel), _small_turn(last.quat, now.quat)
     for k in range(3):
-        s.mean[k] = mean * s.mean[k] + (1.0 - mean) * told[k]
+        s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
         s.turn[k] = turn * (s.turn[k] + turned[k] - half * (last.gyro[k] + now.gyro[k]))
     for j in range(12):
         went, moved = half * (last.joint_vel[j] + now.joint_vel[j]), now.joint_pos[j] - last.joint_pos[j]
