@@ -34,7 +34,7 @@ def test_built_in_gaits_are_tracked(rows: list[Surveyed]) -> None:
 
 def test_a_gait_beyond_the_robot_is_not_tracked_and_says_why(robot: Robot) -> None:
     weak = replace(robot, torque_limit=0.05 * robot.torque_limit)
-    row = survey(generate("trot"), weak, duration_s=1.0, episodes=2)
+    row = survey(generate("pace"), weak, duration_s=1.0, episodes=2)
     assert not row.tracked
     assert row.refused is not None
     assert "keeps the limits: joint torque by" in row.refused

@@ -1,17 +1,38 @@
 """`fastmimic deploy` with a simulated robot: what it writes and prints, how it ends, and bad input."""
 
+import io
 import json
+import shutil
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
 
 from cli.running import Run
+from fastmimic.cli import main
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.motion.motion import Motion
 from fastmimic.runs.loading import load_motion
 
 QUICK = ("--driver", "sim", "--lock-step", "--duration", "0.2")
+
+
+@pytest.fixture(scope="module")
+def deployed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a deployment. Not to be changed."""
+    folder = tmp_path_factory.mktemp("deployed") / "there"
+    assert main(["deploy", "stand", *QUICK, "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a deployment with a controller that plans ahead, and what it printed. Not to be changed."""
+    folder, out = tmp_path_factory.mktemp("planned") / "there", io.StringIO()
+    with redirect_stdout(out):
+        assert main(["deploy", "stand", *QUICK, "--method", "lh", "--json", "--out", str(folder)]) == 0
+    return folder, out.getvalue()
 
 
 def test_it_prints_the_figures_and_writes_the_folder(run: Run, in_folder: Path) -> None:
@@ -46,8 +67,8 @@ def test_json_is_one_object_on_stdout(run: Run) -> None:
     assert not Path("there/log.mcap").exists()
 
 
-def test_its_log_can_be_evaluated(run: Run) -> None:
-    run("deploy", "stand", *QUICK, "--out", "there")
+def test_its_log_can_be_evaluated(run: Run, in_folder: Path, deployed: Path) -> None:
+    (in_folder / "there").symlink_to(deployed)
     done = run("evaluate", "there/log.mcap", "--json")
     found = json.loads(done.out)
     assert found["motion"] == "stand"
@@ -77,17 +98,17 @@ def test_a_dry_run_shows_the_commands(run: Run) -> None:
     assert not DeploymentLog.load("there/log.mcap").rows["sent"].any()
 
 
-def test_a_planning_controller_plans_in_every_period(run: Run) -> None:
-    done = run("deploy", "stand", *QUICK, "--method", "lh", "--json", "--out", "there")
-    rows = DeploymentLog.load("there/log.mcap").rows
+def test_a_planning_controller_plans_in_every_period(planned: tuple[Path, str]) -> None:
+    folder, out = planned
+    rows = DeploymentLog.load(folder / "log.mcap").rows
     following = rows[rows["phase"] == DeploymentPhase.FOLLOW]
     assert (following["solve_s"] > 0.0).all()
-    assert json.loads(done.out)["solve_us"]["median"] > 0.0
+    assert json.loads(out)["solve_us"]["median"] > 0.0
 
 
-def test_its_report_is_a_page_of_its_own(run: Run) -> None:
+def test_its_report_is_a_page_of_its_own(run: Run, in_folder: Path, planned: tuple[Path, str]) -> None:
     pytest.importorskip("plotly", reason="the extra 'report' is not installed")
-    run("deploy", "stand", *QUICK, "--method", "lh", "--out", "there")
+    shutil.copytree(planned[0], in_folder / "there")
     assert run("report", "there").status == 0
     page = Path("there/report.html").read_text(encoding="utf-8")
     for said in ("stand on a1, deployed by driver sim", "Ended as planned (duration)", "Motor torque", "height_least"):
@@ -149,9 +170,8 @@ def test_bad_input_is_one_line(case: str, run: Run, in_folder: Path, monkeypatch
     assert not (in_folder / "runs").exists()
 
 
-def test_a_damaged_log_is_said_to_be_one(run: Run, in_folder: Path) -> None:
-    run("deploy", "stand", *QUICK, "--out", "there")
-    content = bytearray(Path("there/log.mcap").read_bytes())
+def test_a_damaged_log_is_said_to_be_one(run: Run, in_folder: Path, deployed: Path) -> None:
+    content = bytearray((deployed / "log.mcap").read_bytes())
     content[len(content) // 2] ^= 1
     Path("bad.mcap").write_bytes(content)
     for verb in ("evaluate", "identify", "view"):

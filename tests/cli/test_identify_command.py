@@ -30,6 +30,6 @@ def test_one_line_for_what_cannot_be_done(run: Run, in_folder: Path) -> None:
     assert "none.mcap: no such file" in run("identify", "none.mcap").error
     (in_folder / "half.mcap").write_bytes(b"PK")
     assert "half.mcap: not the log of a deployment" in run("identify", "half.mcap").error
-    assert run(*DEPLOY[:-1], "0.4", "--out", "short").status == 0
+    assert run("deploy", "stand", *DEPLOY[2:-1], "0.4", "--out", "short").status == 0
     assert "s long; at least 1 s" in run("identify", "short", "--out", "x.json").error
     assert not (in_folder / "x.json").exists()

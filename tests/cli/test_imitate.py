@@ -254,7 +254,7 @@ def test_a_damaged_checkpoint_is_refused(run: Run, copy: Path) -> None:
     assert "damaged checkpoint" in done.err.splitlines()[-1]
 
 
-LONGER = ("--iterations", "30", "--population", "4", "--duration", "0.6", "--no-video")
+LONGER = ("--iterations", "16", "--population", "4", "--duration", "0.6", "--no-video")
 
 
 def test_the_last_of_the_name_resumed_after_kill_9_gives_the_same_bits(
@@ -262,7 +262,7 @@ def test_the_last_of_the_name_resumed_after_kill_9_gives_the_same_bits(
 ) -> None:
     shutil.copytree(first[0], in_folder / "runs" / first[0].name)
     process = start("imitate", "trot", *LONGER)
-    wait_for_iteration(process, 9)
+    wait_for_iteration(process, 6)
     process.kill()
     assert process.wait() == -signal.SIGKILL
     killed = in_folder / "runs" / "trot-a1-mbc-dmp-0-2"
@@ -270,7 +270,7 @@ def test_the_last_of_the_name_resumed_after_kill_9_gives_the_same_bits(
     done = run("imitate", "trot", *LONGER, "--resume")
     assert done.status == 0
     assert done.out.splitlines()[-1] == "results in runs/trot-a1-mbc-dmp-0-2"
-    assert metrics(killed)["iterations"] == 30
+    assert metrics(killed)["iterations"] == 16
     assert run("imitate", "trot", *LONGER, "--out", "whole").status == 0
     assert_same_run(killed, in_folder / "whole")
 

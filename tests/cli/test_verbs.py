@@ -134,12 +134,12 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
 
 
 def test_inspect_says_what_a_clip_is(run: Run, in_folder: Path) -> None:
-    (in_folder / "clip.dat").write_text(keypoint_text(40))
+    (in_folder / "clip.dat").write_text(keypoint_text(12))
     done = run("inspect", "clip.dat")
     lines = done.out.splitlines()
     assert any(line.startswith("NOT EXECUTABLE no motion of a1 near 'clip' keeps the limits: ") for line in lines)
     assert lines[0] == "format     dog keypoints, 81 columns of text"
-    assert lines[1] == "frames     40 at 60 Hz, 0.667 s"
+    assert lines[1] == "frames     12 at 60 Hz, 0.200 s"
     assert any(line.startswith("assumed    y is up") for line in lines)
     assert any(line.startswith("travel     +0.495 m/s forward") for line in lines)  # 0.6 m/s by 0.825
 

@@ -29,6 +29,7 @@ from fastmimic.deploy.log_file import LogFile
 pytestmark = pytest.mark.real_time
 
 PATIENT = ("--limit", "stale_s=2", "--limit", "overrun_s=2")
+NO_LEAN = ("--limit", "lean=0")
 
 
 class Sim:
@@ -71,7 +72,7 @@ def deploying(sim: Sim, folder: Path, *options: str) -> "subprocess.Popen[str]":
 
 
 def test_a_robot_stands_up_and_lies_down_again(sim: Sim, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    process = deploying(sim, tmp_path, "--duration", "1", "--json")
+    process = deploying(sim, tmp_path, "--duration", "0.3", "--json")
     out, err = process.communicate(timeout=180)
     assert process.returncode == 0, err
     found, told = json.loads(out), sim.end()
@@ -97,30 +98,37 @@ def scored(capsys: pytest.CaptureFixture[str], folder: Path, truth: Path) -> dic
     return dict(json.loads(capsys.readouterr().out)["components"])
 
 
-def test_whose_program_is_killed_while_it_stands_damps_itself(sim: Sim, tmp_path: Path) -> None:
-    process = deploying(sim, tmp_path, "--endless")
+def wait_for(process: "subprocess.Popen[str]", phase: str) -> None:
+    """Until a program says what it does."""
     assert process.stderr is not None
     for line in process.stderr:
-        if "blending into stand" in line:
-            break
-    time.sleep(1.0)
+        if line.startswith(phase):
+            return
+
+
+def test_whose_program_is_killed_while_it_stands_damps_itself(sim: Sim, tmp_path: Path) -> None:
+    process = deploying(sim, tmp_path, "--endless", *NO_LEAN)
+    wait_for(process, "blending into stand")
+    time.sleep(0.5)
     assert process.poll() is None
     process.kill()
     process.communicate()
-    time.sleep(2.0)
+    time.sleep(1.5)
     told = sim.end()
     assert told["damped"] == 1
     assert told["damped_s"] > 1.0
     assert told["base_pos"][2] < 0.2
 
 
-@pytest.mark.parametrize(("limit", "ends"), [("damp", "was damped while"), ("sit", "sat down")])
-def test_another_program_that_commands_the_motors_is_heard(sim: Sim, tmp_path: Path, limit: str, ends: str) -> None:
-    process = deploying(sim, tmp_path, "--endless", "--json", "--limit", f"foreign={limit}")
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "blending into stand" in line:
-            break
+@pytest.mark.parametrize(
+    ("limit", "during", "ends"),
+    [("damp", "stiffening the joints", "was damped while"), ("sit", "blending into stand", "sat down")],
+)
+def test_another_program_that_commands_the_motors_is_heard(
+    sim: Sim, tmp_path: Path, limit: str, during: str, ends: str
+) -> None:
+    process = deploying(sim, tmp_path, "--endless", "--json", "--limit", f"foreign={limit}", *NO_LEAN)
+    wait_for(process, during)
     with closing(Participant(sim.domain)) as stranger:
         writer = Writer(stranger, messages.LOW_COMMAND_TOPIC, messages.LowCommand)
         wire = messages.CommandWire(writer.record)

@@ -125,6 +125,7 @@ def tilt(done: Deployment) -> Any:
     return np.arccos(1.0 - 2.0 * (x * x + y * y))
 
 
+@pytest.mark.nojit
 def test_a_reading_that_is_late_is_not_a_sensor_that_stands_still() -> None:
     limits, reading = SafetyLimits(), np.zeros(1, READING)
     reading["quat"], reading["accel"] = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.81)

@@ -255,9 +255,9 @@ def test_corrupted_commands_are_rejected(go2: Robot, simulated: Callable[..., Si
 
 
 def test_a_dead_robot_is_silent_and_limp(go2: Robot, simulated: Callable[..., SimServer]) -> None:
-    sim = simulated(dead_after_s=3.0)
+    sim = simulated(dead_after_s=2.0)
     with Go2Driver(go2, domain=sim.settings.domain) as driver:
-        wait_for(lambda: driver.write(hold(go2)) or sim.body.time > 3.1)
+        wait_for(lambda: driver.write(hold(go2)) or sim.body.time > 2.1)
         driver.read()
         assert driver.read(0.3) is None
         wait_for(lambda: driver.write(hold(go2)) or sim.body.damped)
@@ -329,7 +329,7 @@ def test_a_process_that_is_killed_leaves_what_it_really_did(
     robot = process("--domain", str(free_domain()), "--log", "truth.mcap")
     assert robot.stderr is not None
     assert "Ctrl-C" in next(line for line in robot.stderr if "compiles" not in line)
-    time.sleep(2.0)
+    time.sleep(1.2)
     robot.kill()
     robot.communicate()
     rows = load_ground_truth(tmp_path / "truth.mcap")

@@ -72,10 +72,14 @@ def test_the_rate_is_the_derivative_of_the_shape(dmp: RhythmicDmp) -> None:
 @pytest.mark.parametrize("dt", [0.001, 0.002, 0.0137, 0.1])
 def test_the_integrated_form_stays_on_the_closed_form(dmp: RhythmicDmp, dt: float) -> None:
     integrator = DmpIntegrator(dmp, phase=0.4)
-    for _ in range(int(2 * PERIOD / dt) + 1):
+    phase, positions, velocities = np.zeros(int(2 * PERIOD / dt) + 1), [], []
+    for i in range(len(phase)):
         integrator.step(dt)
-        np.testing.assert_allclose(integrator.position, dmp.position(integrator.phase), atol=AGREE)
-        np.testing.assert_allclose(integrator.velocity, velocity(dmp, integrator.phase), atol=100 * AGREE)
+        phase[i] = integrator.phase
+        positions.append(integrator.position.copy())
+        velocities.append(integrator.velocity.copy())
+    np.testing.assert_allclose(positions, dmp.position(phase), atol=AGREE)
+    np.testing.assert_allclose(velocities, velocity(dmp, phase), atol=100 * AGREE)
 
 
 @settings(max_examples=20, deadline=None)

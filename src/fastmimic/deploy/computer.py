@@ -94,10 +94,8 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
     """Without garbage collection, or threads that keep the loop waiting; `real_time` requests that scheduling and
     locked memory. Yields what was refused."""
     refused: list[str] = []
-    gc.collect()
     was_enabled, interval = gc.isenabled(), sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
-    gc.freeze()
     gc.disable()
     before = _ask_for_real_time(refused) if real_time else {}
     try:
@@ -108,7 +106,6 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
                 os.sched_setscheduler(thread, policy, os.sched_param(priority))
         if before:
             ctypes.CDLL(None).munlockall()
-        gc.unfreeze()
         sys.setswitchinterval(interval)
         if was_enabled:
             gc.enable()

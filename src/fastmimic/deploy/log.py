@@ -214,11 +214,11 @@ class Recorder:
         """Begins anew, with time 0 in so many s."""
         self.periods, self.start_ns = 0, time.time_ns() + round(1e9 * in_s)
 
-    def next_row(self) -> Any:
-        """The row of this period, to be filled in before the next one is asked for."""
-        row = self._rows[self.periods % self.capacity]
+    def next_row(self) -> NDArray[Any]:
+        """The row (1,) of this period, to be filled in before the next one is asked for."""
+        at = self.periods % self.capacity
         self.periods += 1
-        return row
+        return self._rows[at : at + 1]
 
     def rows(self, first: int = 0, end: int | None = None) -> NDArray[Any]:
         """A copy of the rows from number `first` to `end`, all if None, that are not overwritten."""

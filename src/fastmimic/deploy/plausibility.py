@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, JOINT_NAMES
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import (
     matrix_from_quat,
     quat_conjugate,
@@ -31,7 +32,6 @@ _TURN_S, _SLIP_S, _GRAVITY_S = 2.0, 0.2, 0.5  # time constants in which differen
 _UNTIMELY: Final = 0.3  # share of a joint's movement that angle and speed may differ by: states arrive irregularly
 _GAP_S: Final = 0.01  # after a longer gap between two states, what happened meanwhile is not judged
 _STILL: Final = 10  # readings of the same bits in a row; an IMU of 100 Hz gives five
-_IMU_FIELDS: Final = "quat", "gyro", "accel"
 _IMU_WORDS: Final = "orientation", "gyroscope", "accelerometer"
 _LEAST_MOVE: Final = 0.01  # rad, root mean square; a joint that moves less in the lean tells nothing
 _SHARE: Final = 0.5  # by which a movement may be smaller or greater than another sensor's
@@ -42,6 +42,64 @@ _AXES: Final = "roll", "pitch", "yaw"
 
 Doubt = tuple[str, str]
 """What cannot be believed (`IMU`, `JOINT` or `TORQUE`), and a line that says why."""
+
+
+_SUMS: Final = record_dtype(
+    [*floats(turn=3, slip=12, path=12, beyond=12, accel=3, joints_then=(15, 12), wanted_then=12), *integers(still=15)]
+)
+"""What readings add up to: the orientation's turn beyond the gyroscope's, rad; of each joint, its angle beyond its
+speed's integral, its way, and the former beyond a share of the latter, rad; the mean acceleration in the world, m/s².
+Of 15 readings, the IMU's three and by joint: for how many in a row it has had the same bits, and the joints and its
+joint's command when it last changed, rad."""
+
+
+@inlined
+def _small_turn(before: Any, after: Any) -> tuple[float, float, float]:
+    """Rotation vector between two quaternions, body frame, to first order in the angle."""
+    a, b, c, d, w, x, y, z = before[0], before[1], before[2], before[3], after[0], after[1], after[2], after[3]
+    turned = 2.0 * math.copysign(1.0, a * w + b * x + c * y + d * z)
+    p, q, r = a * x - b * w - c * z + d * y, a * y + b * z - c * w - d * x, a * z - b * y + c * x - d * w
+    return turned * p, turned * q, turned * r
+
+
+@inlined
+def _in_world(quat: Any, vector: Any) -> tuple[float, float, float]:
+    """A vector of the body's frame in the world's."""
+    w, x, y, z, a, b, c = quat[0], quat[1], quat[2], quat[3], vector[0], vector[1], vector[2]
+    p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p
+
+
+@kernel
+def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: Any, elapsed_s: float) -> None:
+    """Adds up what the sensors say differently in a reading (1,) of `READING` and the last one, and their bits; to the
+    first reading `elapsed_s` is infinite."""
+    s, now, last, first = sums[0], nows[0], lasts[0], math.isinf(elapsed_s)
+    half = 0.0 if first else 0.5 * elapsed_s
+    for i in range(15):
+        same = not first
+        if i < 3:
+            for k in range(0 if i == 0 else 1 + 3 * i, 4 + 3 * i):
+                same = same and bits[k] == former[k]
+        else:
+            j = i - 3
+            same = same and now.joint_pos[j] == last.joint_pos[j] and now.joint_vel[j] == last.joint_vel[j]
+            s.wanted_then[j] = s.wanted_then[j] if same else wanted[j]
+        s.still[i] = s.still[i] + 1 if same else 0
+        for k in range(0 if same else 12):
+            s.joints_then[i, k] = now.joint_pos[k]
+    if not (first or 0.0 < elapsed_s <= _GAP_S):
+        return
+    turn, slip, mean = math.exp(-elapsed_s / _TURN_S), math.exp(-elapsed_s / _SLIP_S), math.exp(-elapsed_s / _GRAVITY_S)
+    told, turned = _in_world(now.quat, now.accel), _small_turn(last.quat, now.quat)
+    for k in range(3):
+        s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
+        s.turn[k] = turn * (s.turn[k] + turned[k] - half * (last.gyro[k] + now.gyro[k]))
+    for j in range(12):
+        went, moved = half * (last.joint_vel[j] + now.joint_vel[j]), now.joint_pos[j] - last.joint_pos[j]
+        s.slip[j] = slip * (s.slip[j] + moved - went)
+        s.path[j] = slip * (s.path[j] + max(abs(moved), abs(went)))
+        s.beyond[j] = abs(s.slip[j]) - _UNTIMELY * s.path[j]
 
 
 class Senses:
@@ -56,52 +114,24 @@ class Senses:
 
     def reset(self) -> None:
         self._last: NDArray[Any] | None = None
-        self._turn, self._slip, self._path = np.zeros(3), np.zeros(12), np.zeros(12)
-        self._still = np.zeros(15, np.int64)  # readings in a row of the same bits: of the IMU's three, and by joint
+        self._sums = np.zeros(1, _SUMS)
+        self._turn, _, _, self._beyond, self._mean, self._joints_then, self._wanted_then, self._still = (
+            self._sums[name][0] for name in _SUMS.names or ()
+        )
 
     def check(self, reading: NDArray[Any], wanted: Array, elapsed_s: float) -> Doubt | None:
         """What is wrong with a reading (1,) of `READING`, None if it fits. It came `elapsed_s` after the last one, 0 if
         it is that. `wanted` (12,) are the joint angles of the last command, rad."""
-        now = reading[0]
-        if self._last is None:
-            self._begin(now, wanted)
-        elif elapsed_s == 0.0:
+        if self._last is not None and elapsed_s == 0.0:
             return None
-        else:
-            self._compare(now, self._last, elapsed_s)
-        found = self._frozen_sensor(now, wanted) or self._contradiction()
-        self._last = now.copy()
-        return found
-
-    def _begin(self, now: Any, wanted: Array) -> None:
-        self._mean = _in_world(now["quat"].tolist(), now["accel"].tolist())
-        self._joints_then = np.tile(now["joint_pos"], (15, 1))  # when each of the readings changed
-        self._wanted_then = wanted.copy()  # when the joint's reading changed
-
-    def _compare(self, now: Any, last: Any, elapsed_s: float) -> None:
-        """Adds up what the sensors say differently since the last reading."""
-        self._still += 1
-        for i, name in enumerate(_IMU_FIELDS):
-            if now[name].tobytes() != last[name].tobytes():
-                self._still[i] = 0
-        joints = (now["joint_pos"] != last["joint_pos"]) | (now["joint_vel"] != last["joint_vel"])
-        self._still[3:][joints] = 0
-        self._joints_then[self._still == 0] = now["joint_pos"]
-        if not 0.0 < elapsed_s <= _GAP_S:
-            return
-        turn, slip, mean = (math.exp(-elapsed_s / time) for time in (_TURN_S, _SLIP_S, _GRAVITY_S))
-        turned = _small_turn(last["quat"].tolist(), now["quat"].tolist())
-        self._turn = turn * (self._turn + turned - 0.5 * elapsed_s * (last["gyro"] + now["gyro"]))
-        went = 0.5 * elapsed_s * (last["joint_vel"] + now["joint_vel"])
-        moved = now["joint_pos"] - last["joint_pos"]
-        self._slip = slip * (self._slip + moved - went)
-        self._path = slip * (self._path + np.maximum(np.abs(moved), np.abs(went)))
-        self._mean = mean * self._mean + (1.0 - mean) * _in_world(now["quat"].tolist(), now["accel"].tolist())
+        last, elapsed_s = (reading, math.inf) if self._last is None else (self._last, elapsed_s)
+        _compare(self._sums, reading, last, reading.view(np.int64), last.view(np.int64), wanted, elapsed_s)
+        self._last = reading.copy()
+        return self._frozen_sensor(reading[0], wanted) or self._contradiction()
 
     def _frozen_sensor(self, now: Any, wanted: Array) -> Doubt | None:
         """A sensor that gives the same bits while others, or the command, say that something moves."""
-        np.copyto(self._wanted_then, wanted, where=self._still[3:] == 0)
-        if self._still.max() < _STILL:
+        if max(self._still.tolist()) < _STILL:
             return None
         long = self._still >= _STILL
         travelled = np.abs(now["joint_pos"] - self._joints_then)
@@ -124,11 +154,10 @@ class Senses:
             mean = ", ".join(f"{value:.1f}" for value in self._mean)
             said = f"the accelerometer's mean is ({mean}) m/s² by the orientation; (0, 0, {GRAVITY:.1f}) is gravity"
             return IMU, f"{said}: turned, upside down, or in other units?"
-        beyond = np.abs(self._slip) - _UNTIMELY * self._path
-        j = int(np.argmax(beyond))
-        if beyond[j] > self._slip_limit:
-            said = f"angle and speed differ by {beyond[j]:.2f} rad; {self._slip_limit:g} are allowed"
-            return JOINT, f"{JOINT_NAMES[j]}: {said}"
+        beyond = max(self._beyond.tolist())
+        if beyond > self._slip_limit:
+            said = f"angle and speed differ by {beyond:.2f} rad; {self._slip_limit:g} are allowed"
+            return JOINT, f"{JOINT_NAMES[int(np.argmax(self._beyond))]}: {said}"
         return None
 
 
@@ -218,26 +247,6 @@ def _load_doubt(share: float, limits: tuple[float, float]) -> Doubt | None:
     if math.isnan(share) or limits[0] < share < limits[1]:
         return None
     return TORQUE, f"by their torques the legs bear {share:.2f} of the robot's weight"
-
-
-def _small_turn(before: list[float], after: list[float]) -> Array:
-    """Rotation vector (3,) between two quaternions, body frame, to first order in the angle."""
-    (a, b, c, d), (w, x, y, z) = before, after
-    turned = 2.0 * math.copysign(1.0, a * w + b * x + c * y + d * z)
-    return np.array(
-        [
-            turned * (a * x - b * w - c * z + d * y),
-            turned * (a * y + b * z - c * w - d * x),
-            turned * (a * z - b * y + c * x - d * w),
-        ]
-    )
-
-
-def _in_world(quat: list[float], vector: list[float]) -> Array:
-    """A vector of the body's frame in the world's."""
-    (w, x, y, z), (a, b, c) = quat, vector
-    p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    return np.array([a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p])
 
 
 def _ground_doubt(angle: float, limit: float) -> Doubt | None:

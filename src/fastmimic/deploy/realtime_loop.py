@@ -183,10 +183,8 @@ class Loop:
     def _read(self, timeout_s: float = 0.0) -> bool:
         """Takes the newest state; returns whether there is a new one."""
         state = self.driver.read(timeout_s)
-        if state is None:
-            return False
-        self._state = state
-        return True
+        self._state = self._state if state is None else state
+        return state is not None
 
     def _record(
         self,
@@ -198,23 +196,18 @@ class Loop:
         sent: bool,
         times: tuple[float, float, float],
     ) -> None:
-        row, machine, began = self.recorder.next_row(), self.machine, self._began
-        read, ready, done = times
-        memory, clock = machine.controller.memory[0], machine.follower.clock[0]
-        row["time_s"], row["late_s"] = began - self._start, self._late
-        row["read_s"], row["control_s"], row["write_s"] = read - began, ready - read, done - ready
-        row["round_trip_s"], row["age_s"] = done - state.received, read - state.received
-        row["sequence"], row["fresh"], row["phase"], row["in_motion"] = state.sequence, fresh, phase, moving
-        packets, before = self.driver.packets, self._before
-        row["received"], row["lost"] = packets.received - before.received, packets.lost - before.lost
-        row["rejected"], row["foreign"] = packets.rejected - before.rejected, packets.foreign - before.foreign
-        row["missed"], row["skipped"] = self._misses, self._skipped
-        row["sample"], row["origin"], row["haste"] = clock["sample"], clock["origin"], memory["haste"]
-        row["wanted"] = machine.follower.wanted
-        row["reading"], row["estimate"], row["command"] = state.reading[0], machine.observation[0], command[0]
-        row["sent"], row["cut"], row["stance"] = sent, self._guard.cut, memory["stance"]
-        row["force"], row["solve_s"] = memory["force"], memory["solve_time"]
-        row["early_touchdowns"], row["qp_failures"] = memory["early_touchdowns"], memory["qp_failures"]
+        """Fills in the row of the period, field by field in the order of `ROW`."""
+        machine, began, (read, ready, done) = self.machine, self._began, times
+        memory, clock = machine.controller.memory, machine.follower.clock
+        packets, before, received = self.driver.packets, self._before, state.received
+        spans = began - self._start, self._late, read - began, ready - read, done - ready
+        lost = (getattr(packets, name) - getattr(before, name) for name in ("received", "lost", "rejected", "foreign"))
+        followed = clock["sample"][0], clock["origin"][0], memory["haste"][0], machine.follower.wanted
+        records = state.reading[0], machine.observation[0], command[0]
+        control = (memory[name][0] for name in ("force", "solve_time", "early_touchdowns", "qp_failures"))
+        flags = self._guard.cut, phase, fresh, moving, sent, memory["stance"][0]
+        counts = done - received, read - received, state.sequence, *lost, self._misses, self._skipped
+        self.recorder.next_row()[0] = *spans, *counts, *followed, *records, *control, *flags
 
     def _end(self, violation: Violation) -> LoopOutcome:
         """Crouches, if the reason allows, and damps the joints."""

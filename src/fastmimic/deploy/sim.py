@@ -15,7 +15,7 @@ from fastmimic.deploy.computer import LoopClock, VirtualClock
 from fastmimic.deploy.driver import RobotDriver, StateMessage, damping_command
 from fastmimic.reference.standing import rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
-from fastmimic.robot.state import COMMAND, READING
+from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import Simulation, make_simulation
@@ -244,11 +244,11 @@ class SimDriver(RobotDriver):
         world = make_world(chosen.disturbances, 1, chosen.simulator)
         sensors = Sensors(robot, 1, _RATE_HZ, chosen.sensors, world)
         self.body = SimulatedBody(robot, simulation, sensors, _RATE_HZ, start)
-        self._truth: list[NDArray[Any]] = []
+        self._truth: list[bytes] = []
 
     def truth_at(self, sequence: NDArray[np.int64]) -> NDArray[Any]:
         """(k,) of `OBSERVATION`: the true states of messages by number (k,)."""
-        return np.concatenate([self._truth[number] for number in sequence])
+        return np.frombuffer(bytearray().join(self._truth[number] for number in sequence.tolist()), OBSERVATION)
 
     def _connect(self) -> None:
         """Puts the robot at its start and sends its first state."""
@@ -256,7 +256,7 @@ class SimDriver(RobotDriver):
         self._commands = SimulatedLink(self._faults, self._dt, 1)
         self._obeyed = -1  # number of the last command
         reading = self.body.reset(episode_generator(self._conditions.seed, 0, _SENSORS))
-        self._truth = [self.body.observation.copy()]
+        self._truth = [self.body.observation.tobytes()]
         self._epoch = self._now()
         self._states.send(self._epoch - self._faults.latency_s, 0, reading)
 
@@ -294,5 +294,5 @@ class SimDriver(RobotDriver):
                 self._obeyed, self.body.service.active = packet.sequence, False
                 self.body.obey(command)
         self.body.step()
-        self._truth.append(self.body.observation.copy())
+        self._truth.append(self.body.observation.tobytes())
         self._states.send(began + self._dt, self.body.steps, self.body.measure())

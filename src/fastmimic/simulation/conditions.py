@@ -161,11 +161,11 @@ def make_world(disturbances: Sequence[Disturbance], n: int, simulator: str) -> W
 
 class Delay:
     """Commands on their way to the motors of robots, each `delay_s` (n,) late. `steps_hz` is how often a motor may take
-    a new one: `substeps` times in a control step."""
+    a new one: `substeps` times in a control step. `delays` says whether any command is late."""
 
     def __init__(self, delay_s: Array, steps_hz: float, substeps: int = 1) -> None:
         self.late = np.round(delay_s * steps_hz).astype(np.int64)
-        self._substeps = substeps
+        self._substeps, self.delays = substeps, bool(self.late.any())
         self._sent = np.zeros((int(self.late.max()) // substeps + 2, len(self.late)), COMMAND)
 
     def send(self, commands: NDArray[Any], step: int) -> None:
@@ -174,6 +174,8 @@ class Delay:
 
     def arrived(self, step: int, substep: int = 0) -> NDArray[Any]:
         """The commands (n,) that have reached the motors by now; the first ones are there from the start."""
+        if not self.delays:
+            return self._sent[step % len(self._sent)]
         sent = np.maximum(0, (step * self._substeps + substep - self.late) // self._substeps)
         return np.asarray(self._sent[sent % len(self._sent), np.arange(len(sent))])
 

@@ -242,7 +242,6 @@ class MujocoSimulation(Disturbed):
             self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
         self._forces = self.batch.bind("xfrc_applied") if self._pushed else np.zeros(0)
-        self._delayed = bool(self._delay.late.any())
 
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`; the clocks of pushes and delay restart."""
@@ -280,7 +279,7 @@ class MujocoSimulation(Disturbed):
         if self._pushed:
             self.push(self._qpos[:, 3:7])
             self._forces[:, self.trunk, :3] = self.trunk_force
-        if self._delayed:
+        if self._delay.delays:
             self._delay.send(commands, self._steps)
             for substep in range(self.substeps):
                 self.drive(self._delay.arrived(self._steps, substep))
