@@ -45,7 +45,7 @@ class Remembered:
                 return read_arrays(path, FastMimicError, "a solution")
         except FastMimicError:
             pass
-        for answer in _packaged().get(self._general, ()):
+        for answer in _packaged(self._general):
             if np.abs(answer["probe"] - self._probe).max() < _NEAR:
                 return answer
         return None
@@ -86,17 +86,17 @@ def write_recorded(path: Path, answers: list[tuple[str, dict[str, Array]]]) -> N
 
 
 @cache
-def _packaged() -> dict[str, list[dict[str, Array]]]:
-    """The package's answers by the general key of their questions."""
-    answers: dict[tuple[str, str], dict[str, Array]] = {}
-    if PACKAGED.is_file():
-        for name, array in read_arrays(PACKAGED, FastMimicError, "a solution").items():
+def _packaged(general: str) -> list[dict[str, Array]]:
+    """The package's answers to questions of a general key; no others are unpacked."""
+    if not PACKAGED.is_file():
+        return []
+    answers: dict[str, dict[str, Array]] = {}
+    with np.load(PACKAGED, allow_pickle=False) as file:
+        for name in file:
             key, number, part = name.split(" ")
-            answers.setdefault((key, number), {})[part] = array
-    found: dict[str, list[dict[str, Array]]] = {}
-    for (key, _), answer in answers.items():
-        found.setdefault(key, []).append(answer)
-    return found
+            if key == general:
+                answers.setdefault(number, {})[part] = file[name]
+    return list(answers.values())
 
 
 def _folder() -> Path:
