@@ -136,7 +136,7 @@ class Evaluate:
         """Scores a deployment from its log."""
         from fastmimic.deploy.deployment import evaluation_of
 
-        robot, log = open_log(self, self.clip, "json", "clip")
+        robot, log = open_log(self, self.clip, "json", "clip", "steered")
         with slow_start():
             figures = evaluation_of(robot, log, ControllerConfig.from_dict(log.meta["config"])).as_dict()
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
