@@ -424,3 +424,25 @@ def test_the_simulated_robot_counts_what_it_is_sent(a1: Robot) -> None:
         assert sim.packets.sent == 0
         sim.write(np.zeros(1, COMMAND))
         assert sim.packets.sent == 1
+
+
+@pytest.mark.parametrize("limit", ["damp", "sit", "ignore"])
+def test_another_program_that_commands_the_motors_while_it_trots(trotting: Rig, limit: str) -> None:
+    def hear(machine: object) -> None:
+        trotting.sim.packets.foreign += 1
+
+    limits = SafetyLimits(foreign=limit)
+    done = trotting.run(duration_s=0.5, limits=limits, watch=once(lambda machine: machine.in_motion, hear))
+    assert done.result["packets"]["foreign"] == 1
+    phases = done.log.rows["phase"]
+    if limit == "ignore":
+        assert done.outcome.stopped_by is StopReason.DURATION
+        return
+    assert done.outcome.stopped_by is StopReason.FOREIGN
+    trotted = done.log.rows["in_motion"].sum()
+    if limit == "damp":
+        assert_damped(trotting, limits)
+        assert trotted <= 2, "periods: at once"
+    else:
+        assert phases[-1] == DeploymentPhase.RELEASE
+        assert (phases == DeploymentPhase.SIT).any()
