@@ -1,5 +1,7 @@
 """The steered reference by itself: it goes where it is told, its feet do not slide, and it stands when it may."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -143,3 +145,15 @@ def test_x_and_y_follow_the_robot_once_a_cycle(gaits: GaitField) -> None:
         steered.advance(np.array([7.0, 8.0]))
     assert np.hypot(*(steered.place["pose"][0, :2] - [7.0, 8.0])) < 0.4
     assert steered.place["jump"][0] > 5.0
+
+
+def test_gaits_in_which_never_the_same_feet_stand_still_pass_into_each_other(gaits: GaitField) -> None:
+    assert gaits.slower is not None
+    rows = gaits.slower.rows.copy()
+    rows["contact"] = np.where(np.arange(rows.shape[1])[:, None] % 300 < 150, [1, 1, 0, 0], [0, 0, 1, 1])  # a bound
+    bound = dataclasses.replace(gaits.slower, name="bound", rows=rows)
+    steered = Steered(dataclasses.replace(gaits, slower=bound))
+    for speed, name in ((0.4, "bound"), (0.9, "trot"), (0.3, "bound")):
+        steered.steer(np.array([speed, 0.0, 0.0]))
+        run(steered, 2.0)
+        assert steered.state == name

@@ -13,9 +13,10 @@ LANDED: Final = 0.95  # share of a swing at whose end its foot is where the gait
 _LOW_M: Final = 0.002
 _SPARE: Final = 1.1  # so that a stick that trembles does not change the gait
 _ENOUGH_S: Final = 0.15  # time until a foot that stands lifts off that is as good as more
-_NOW_S: Final = 0.03  # time from a change that a foot makes at once
+_NOW_S: Final = 0.03  # time from a change that a foot may make at once
 _SWITCH: Final = 3.0  # weight of that time
-_NEARLY, _SMALL = 1.5, 1e-4  # a moment whose cost, s², is at most so many times the least one, and so much more
+_NEARLY: Final = 1.5  # a moment is good whose cost is at most so many times the least one
+_SMALL: Final = 1e-4  # and so much more, s²
 _COLUMNS: Final = (
     *("step", "turn", "root_z", "tilt", "lin_vel", "ang_vel", "lin_acc", "ang_acc", "leg_lin_acc", "leg_ang_acc"),
     "foot",
@@ -56,15 +57,19 @@ class Gait:
         The same feet should stand, and land and lift off as soon. A foot may lift off or land at that moment, if it
         would have done so about then."""
         before, after = other.contact[:, None] != 0, self.contact[None] != 0
-        changes_s, changed_s = self._change_s[None], other._change_s[:, None]
-        since_s = np.where(self._since_s > _NOW_S, np.inf, self._since_s)[None]
+        changes_s, changed_s, since_s = self._change_s[None], other._change_s[:, None], self._since_s[None]
         apart = changes_s - changed_s
         apart = np.where(before & after, np.minimum(changes_s, _ENOUGH_S) - np.minimum(changed_s, _ENOUGH_S), apart)
-        apart = np.where(before & ~after, _SWITCH * since_s, apart)
-        apart = np.where(~before & after, _SWITCH * np.where(changed_s > _NOW_S, np.inf, changed_s), apart)
+        apart = np.where(before & ~after, _at_once(since_s), apart)
+        apart = np.where(~before & after, _at_once(changed_s), apart)
         cost = (apart**2).sum(axis=-1)
         least = cost.min(axis=1)
         return np.where(least <= _NEARLY * least.min() + _SMALL, cost.argmin(axis=1), -1)
+
+
+def _at_once(time_s: Array) -> Array:
+    """What it costs that a foot lifts off so much later, or lands so much earlier, than it would have, s."""
+    return np.where(time_s > _NOW_S, 1.0 + time_s, _SWITCH * time_s)
 
 
 def _rows_until(events: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -93,6 +93,9 @@ class GaitField:
     gains: NDArray[Any]
     slower: "GaitField | None" = None
 
+    def __repr__(self) -> str:
+        return f"<GaitField {' over '.join(gait.name for gait in self.chain())} of {self.robot.name}>"
+
     def chain(self) -> "list[GaitField]":
         """This gait and all slower ones."""
         return [self, *(self.slower.chain() if self.slower is not None else ())]

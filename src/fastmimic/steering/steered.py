@@ -147,6 +147,8 @@ class Steered:
         place["wanted"] = self._gait.field.nearest(self._asked)
 
     def _go_over(self, gait: Gait, row: int) -> None:
+        """Goes on at a row of another gait. What the gaits differ in begins to fade; feet are as far away from where
+        the new gait has them as they are, and those in the air move on as they do."""
         place, scratch = self.place[0], self._scratch[0]
         self._scratch[0] = place
         _advance(*self._given, scratch, *self._work, 1.0)
