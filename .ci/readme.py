@@ -36,7 +36,8 @@ LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "tran
 CHOICE = FinalChoice(candidates=2, episodes=2, duration_s=0.4)
 """How a search chooses its result here: quickly."""
 GAITS = gait_field.Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5))
-"""The gaits of a steered robot here: few, those of the tests."""
+SLOW = gait_field.Grid((0.0, 0.6), (-0.2, 0.2), (1.0, 0.6))
+"""The velocities of a steered robot here: few, those of the tests."""
 SHELL = re.compile(r"[|&;<>$`(){}\[\]*]|^(?!fastmimic )", re.MULTILINE)
 """In a bash block: more than commands of `fastmimic`, one a line."""
 
@@ -56,7 +57,7 @@ def main(folder: Path, pages: list[Path]) -> None:
     np.save("points.npy", fm.open_clip("walk").points_w)
     Path("way.csv").write_text("0.5,0.5,0,0\n1.5,0,0,0\n2,0,0,0\n")
     Path("my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
-    gait_field.gait_field = partial(gait_field.gait_field, grid=GAITS)
+    gait_field.gait_field = partial(gait_field.gait_field, grid=GAITS, slow=lambda speed: SLOW)
     fm.evaluate("trot", duration_s=0.1)  # loads what commands need, once for all of them
     for page, text in [(page, page.read_text(encoding="utf-8")) for page in pages]:
         for reason, language, code in BLOCK.findall(text):
