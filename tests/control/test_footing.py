@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.control.config import ControllerConfig
+from fastmimic.control.config import ControllerConfig, pack_config
 from fastmimic.episode.loop import ClosedLoop, run_episodes
 from fastmimic.episode.plan import Start
 from fastmimic.robot import Robot
@@ -80,6 +80,27 @@ def test_a_foot_that_should_stand_and_finds_no_ground_is_lowered_where_it_is_rou
     np.testing.assert_allclose(height - lower, lowered_m, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("load", "roughness_m", "share"), [(0.5, 0.0, 1.0), (0.5, 0.015, 0.5), (0.5, 0.03, 0.0), (0, 0.03, 1.0)]
+)
+def test_a_leg_that_bears_weight_is_not_held_to_its_way_where_it_is_rough(
+    robot: Robot, load: float, roughness_m: float, share: float
+) -> None:
+    """It may lean on its shin; an unloaded one looks for the ground with all of its feedback."""
+    config = ControllerConfig()
+    loop, observation = held(robot, "walk", config)
+    observation["foot_force"][..., 2] = load * robot.mass * GRAVITY
+    for _ in range(10):
+        command = loop.controller.step(observation, loop.clocks)
+        loop.controller.memory["roughness"] = roughness_m
+    stands = np.repeat(loop.controller.memory["stance"] == 1, 3, axis=1)
+    level = pack_config(config, robot)[0]
+    np.testing.assert_allclose(
+        command["stiffness"][stands], share * level["stance_kp"], rtol=0.05
+    )  # it follows the feet
+    np.testing.assert_allclose(command["damping"][stands], share * level["stance_kd"], rtol=0.05)
+
+
 @pytest.mark.parametrize(("time_s", "roughness_m", "feels"), [(0.1, 0.0, True), (0.0, 0.0, False), (0.1, 0.03, False)])
 def test_a_robot_whose_feet_slide_assumes_less_friction(
     robot: Robot, time_s: float, roughness_m: float, feels: bool
@@ -124,7 +145,7 @@ def test_a_lost_reading_is_not_felt(robot: Robot) -> None:
 
 
 def test_feet_are_lifted_on_stairs_and_only_there(robot: Robot) -> None:
-    assert walked(robot, "stairs-up=0.04", ControllerConfig()).controller.memory["roughness"].max() > 0.01
+    assert walked(robot, "stairs-up=0.05", ControllerConfig()).controller.memory["roughness"].max() > 0.01
     assert walked(robot, "slope=10", ControllerConfig()).controller.memory["roughness"].max() < 0.01
 
 

@@ -198,11 +198,14 @@ def _sliding_speed(model: Any, obs: Any, scratch: Any, leg: int) -> float:
 
 
 @inlined
-def reaching_speed(config: Any, memory: Any, leg: int) -> float:
-    """Speed, m/s, with which a standing foot that finds no ground is lowered where the ground is rough."""
+def feel_for_ground(config: Any, memory: Any, leg: int) -> tuple[float, float]:
+    """What a standing leg does where the ground is rough: the share of the joints' feedback that it keeps, and the
+    speed, m/s, with which its foot is lowered. One that bears weight, maybe on its shin, gives way: held to the
+    reference's way, it would lever itself over what it leans on. One that finds no ground is lowered."""
+    rough = _beyond(memory.roughness, SMALL_HEIGHT_M)
     if min(memory.unloaded_time[leg], memory.since_switch[leg]) < UNLOADED_S:
-        return 0.0
-    return _beyond(memory.roughness, SMALL_HEIGHT_M) * config.reach_speed
+        return 1.0 - rough, 0.0
+    return 1.0, rough * config.reach_speed
 
 
 @inlined

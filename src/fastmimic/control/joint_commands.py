@@ -8,7 +8,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import transposed_times, turned, turned_back
-from fastmimic.control.footing import lift_over, reaching_speed
+from fastmimic.control.footing import feel_for_ground, lift_over
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
 
@@ -41,12 +41,13 @@ def stance_leg(
         damping = DAMPING_AFTER_FAILURE
     a, h, k = q[0], q[1], q[2]
     if config.adaptation > 0:
-        stiffness, damping = config.stance_kp, max(damping, config.stance_kd)
+        feels, reach = feel_for_ground(config, memory, leg)
+        stiffness, damping = feels * config.stance_kp, max(damping, feels * config.stance_kd)
         turning = 1.0 if config.adaptation == 2 else 0.0
         dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
         dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
         dz = v_ref_b[2] + turning * (w_ref_b[0] * foot[1] - w_ref_b[1] * foot[0])
-        dz += reaching_speed(config, memory, leg)
+        dz += reach
         dt = config.dt
         a, h, k, _ = leg_inverse(model.geometry[leg], foot[0] - dx * dt, foot[1] - dy * dt, foot[2] - dz * dt)
     command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
