@@ -98,7 +98,7 @@ def test_a_leg_that_bears_weight_is_not_held_to_its_way_where_it_is_rough(
     np.testing.assert_allclose(
         command["stiffness"][stands], share * level["stance_kp"], rtol=0.05
     )  # it follows the feet
-    np.testing.assert_allclose(command["damping"][stands], share * level["stance_kd"], rtol=0.05)
+    np.testing.assert_allclose(command["damping"][stands], (0.3 + 0.7 * share) * level["stance_kd"], rtol=0.05)
 
 
 @pytest.mark.parametrize(("time_s", "roughness_m", "feels"), [(0.1, 0.0, True), (0.0, 0.0, False), (0.1, 0.03, False)])

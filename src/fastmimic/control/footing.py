@@ -27,6 +27,7 @@ NEAR_CONE: Final = 0.8  # share of the assumed friction from which a force can m
 SETTLED_S: Final = 0.03  # after a touch-down
 LEAST_FRICTION: Final = 0.2  # that is assumed
 RETURNS: Final = 50.0  # times as slowly as it falls
+ROUGH_DAMPING: Final = 0.3  # share of their damping that joints of a loaded leg keep on rough ground
 UNLOADED_S: Final = 0.01  # in which a foot that stands has met the ground
 RISING_M: Final = 0.03  # height of a foot from which it is lifted all of what it has to be
 
@@ -198,14 +199,14 @@ def _sliding_speed(model: Any, obs: Any, scratch: Any, leg: int) -> float:
 
 
 @inlined
-def feel_for_ground(config: Any, memory: Any, leg: int) -> tuple[float, float]:
-    """What a standing leg does where the ground is rough: the share of the joints' feedback that it keeps, and the
-    speed, m/s, with which its foot is lowered. One that bears weight, maybe on its shin, gives way: held to the
-    reference's way, it would lever itself over what it leans on. One that finds no ground is lowered."""
+def feel_for_ground(config: Any, memory: Any, leg: int) -> tuple[float, float, float]:
+    """What a standing leg does where the ground is rough: the shares of the joints' stiffness and damping that it
+    keeps, and the speed, m/s, with which its foot is lowered. One that bears weight, maybe on its shin, gives way: held
+    to the reference's way, it would lever itself over what it leans on. One that finds no ground is lowered."""
     rough = _beyond(memory.roughness, SMALL_HEIGHT_M)
     if min(memory.unloaded_time[leg], memory.since_switch[leg]) < UNLOADED_S:
-        return 1.0 - rough, 0.0
-    return 1.0, rough * config.reach_speed
+        return 1.0 - rough, 1.0 - (1.0 - ROUGH_DAMPING) * rough, 0.0
+    return 1.0, 1.0, rough * config.reach_speed
 
 
 @inlined

@@ -41,8 +41,8 @@ def stance_leg(
         damping = DAMPING_AFTER_FAILURE
     a, h, k = q[0], q[1], q[2]
     if config.adaptation > 0:
-        feels, reach = feel_for_ground(config, memory, leg)
-        stiffness, damping = feels * config.stance_kp, max(damping, feels * config.stance_kd)
+        stiff, damped, reach = feel_for_ground(config, memory, leg)
+        stiffness, damping = stiff * config.stance_kp, max(damping, damped * config.stance_kd)
         turning = 1.0 if config.adaptation == 2 else 0.0
         dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
         dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
