@@ -44,8 +44,9 @@ def _show_in_notebooks() -> None:
 
         return as_html(shown)
 
+    names = _public()
     for name in ("Motion", "Evaluation", "Imitation", "Stitching"):
-        shell.display_formatter.formatters["text/html"].for_type_by_name(*_public()[name], as_html)
+        shell.display_formatter.formatters["text/html"].for_type_by_name(*names[name], as_html)
 
 
 _show_in_notebooks()

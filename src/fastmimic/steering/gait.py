@@ -11,7 +11,7 @@ from fastmimic.steering.gait_field import RATE_HZ, GaitField
 
 LANDED: Final = 0.95  # share of a swing at whose end its foot is where the gaits have it
 _LOW_M: Final = 0.002
-_SPARE: Final = 1.1  # so that a stick that trembles does not change the gait
+SPARE: Final = 1.1  # of a velocity that a slower gait takes over, so that a trembling stick changes nothing
 _ENOUGH_S: Final = 0.15  # time until a foot that stands lifts off that is as good as more
 _NOW_S: Final = 0.03  # time from a change that a foot may make at once
 _SWITCH: Final = 3.0  # weight of that time
@@ -45,11 +45,6 @@ class Gait:
         # s until a foot lands or lifts off, and since it did
         self._change_s = np.maximum(self.until, _rows_until(~stands)) / RATE_HZ
         self._since_s = np.maximum(_rows_until(stands[::-1]), _rows_until(~stands[::-1]))[::-1] / RATE_HZ
-
-    def takes_over(self, wanted: Array, velocity: Array) -> bool:
-        """Whether it has a wanted velocity (3,) with something to spare, and the present one, so that a faster gait can
-        go over to it."""
-        return self.field.has(_SPARE * wanted) and self.field.has(velocity)
 
     def rows_from(self, other: "Gait") -> NDArray[np.int64]:
         """For each row of another gait (m,) the row of this one to go over to; -1 where it is better to wait.

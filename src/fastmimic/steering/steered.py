@@ -24,7 +24,7 @@ from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy
 from fastmimic.reference.course import make_work, put_at, put_joints, to_body
 from fastmimic.reference.table import GAIN_SAMPLES
-from fastmimic.steering.gait import LANDED, Gait
+from fastmimic.steering.gait import LANDED, SPARE, Gait
 from fastmimic.steering.gait_field import RATE_HZ, GaitField
 
 _ACCELERATION: Final = (2.0, 1.5, 6.0)  # forwards and sideways, m/s², and turning, rad/s²
@@ -74,7 +74,8 @@ class Steered:
         self.place = np.zeros(1, STEERED)
         self._scratch = self.place.copy()
         self._work = np.zeros(1, _MIXTURE)[0], make_work(field.robot, 1.0 / RATE_HZ)[0]
-        self._asked = np.zeros(3)
+        self._told = self._asked = np.zeros(3)
+        self._choose()
         self.put(0.0, 0.0, 0.0)
 
     @property
@@ -102,11 +103,19 @@ class Steered:
     def steer(self, velocity: Array) -> Array:
         """Requests a velocity (3,): forwards, to the left, m/s, turning to the left, rad/s; returns the nearest one of
         the field, which it takes. Raises `ConfigError` if it is not three finite numbers."""
+        if np.array_equal(velocity, self._told):  # as it mostly is, in each control step
+            return np.array(self._asked)
         if np.shape(velocity) != (3,) or not np.isfinite(velocity).all():
             raise ConfigError(f"a velocity to steer to has three numbers, found {velocity}")
-        self._asked = self.field.nearest(velocity)
+        self._told, self._asked = np.array(velocity), self.field.nearest(velocity)
+        self._choose()
         self.place["wanted"] = self._gait.field.nearest(self._asked)
         return np.array(self._asked)
+
+    def _choose(self) -> None:
+        """The gaits that have what is asked for, the slowest first, and those of them that have some to spare."""
+        self._able = [gait for gait in self._gaits if gait.field.has(self._asked)]
+        self._ample = [gait for gait in self._gaits if gait.field.has(SPARE * self._asked)]
 
     def update(self) -> None:
         """Nothing: all happens in `advance`."""
@@ -134,9 +143,9 @@ class Steered:
         feet stand."""
         place, now = self.place[0], self._gait
         k = self._gaits.index(now) if place["standing"] == 0 else len(self._gaits) - 1
-        slower = (gait for gait in self._gaits[:k] if gait.takes_over(self._asked, place["velocity"]))
-        others = (gait for gait in self._gaits[k:] if gait.field.has(self._asked))
-        wanted = next(chain(slower, others), now)
+        slower, others = self._gaits[:k], self._gaits[k:]
+        take_over = (gait for gait in self._ample if gait in slower and gait.field.has(place["velocity"]))
+        wanted = next(chain(take_over, (gait for gait in self._able if gait in others)), now)
         if wanted is now:
             return
         if place["standing"] == 1 and place["stands"] == 1.0:
