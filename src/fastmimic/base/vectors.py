@@ -1,9 +1,13 @@
 """Vector algebra of the kernels: 3-vectors and 3 × 3 matrices in arrays, without allocation."""
 
+from typing import Final
+
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
+
+SINGULAR: Final = 1e-4  # squared size of the motions of a matrix below which its inverse fades
 
 
 @inlined
@@ -85,3 +89,20 @@ def transposed_times(m: Array, v: Array, out: Array) -> None:
 def heading_vector(c: float, s: float, v: Array, out: Array) -> None:
     """Rz(−ψ) v with (c, s) of ψ."""
     out[0], out[1], out[2] = c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]
+
+
+@inlined
+def solve_damped(m: Array, x: float, y: float, z: float, out: Array) -> None:
+    """The v nearest to 0 among those with m v near (x, y, z), for a 3 × 3 matrix: (mᵀ m + ε) v = mᵀ (x, y, z)."""
+    a = b = c = SINGULAR
+    d = e = f = 0.0
+    for k in range(3):
+        a, b, c = a + m[k, 0] * m[k, 0], b + m[k, 1] * m[k, 1], c + m[k, 2] * m[k, 2]
+        d, e, f = d + m[k, 0] * m[k, 1], e + m[k, 0] * m[k, 2], f + m[k, 1] * m[k, 2]
+    x, y, z = turned_back(m, x, y, z)
+    p, q, r = b * c - f * f, e * f - d * c, d * f - b * e
+    s, t, u = a * c - e * e, d * e - a * f, a * b - d * d
+    scale = 1.0 / (a * p + d * q + e * r)
+    out[0] = scale * (p * x + q * y + r * z)
+    out[1] = scale * (q * x + s * y + t * z)
+    out[2] = scale * (r * x + t * y + u * z)

@@ -14,7 +14,7 @@ from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.base.vectors import quat_to_matrix, times, transposed_times
 from fastmimic.robot.dynamics import cross
-from fastmimic.robot.kinematics import leg_forward, leg_jacobian
+from fastmimic.robot.kinematics import contact_jacobian, leg_forward
 
 SMALL_SLOPE: Final = 0.03  # that is taken for level, and twice as much for what it is
 SMALL_HEIGHT_M: Final = 0.01  # likewise, of the ground's height and of the feet's distances from the plane
@@ -182,16 +182,12 @@ def feel_slides(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) ->
 def _sliding_speed(model: Any, obs: Any, scratch: Any, leg: int) -> float:
     """Horizontal speed, m/s, of the point of a foot's sphere that is on the ground: the foot may roll."""
     q, dq = obs.joint_pos[3 * leg : 3 * leg + 3], obs.joint_vel[3 * leg : 3 * leg + 3]
-    foot, turning, v, up = scratch.feet[leg], scratch.ang_vel_b, scratch.vector, scratch.rotation[2]
-    leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
-    v[0], v[1], v[2] = cross(turning[0], turning[1], turning[2], foot[0], foot[1], foot[2])
-    pitching = dq[1] + dq[2]
-    wx, wy, wz = turning[0] + dq[0], turning[1] + np.cos(q[0]) * pitching, turning[2] + np.sin(q[0]) * pitching
-    rx, ry, rz = cross(wx, wy, wz, up[0], up[1], up[2])
-    v[0] += scratch.lin_vel_b[0] - model.foot_radius * rx
-    v[1] += scratch.lin_vel_b[1] - model.foot_radius * ry
-    v[2] += scratch.lin_vel_b[2] - model.foot_radius * rz
+    foot, w, v, up, r = scratch.feet[leg], scratch.ang_vel_b, scratch.vector, scratch.rotation[2], model.foot_radius
+    contact_jacobian(model.geometry[leg], q, r, up, scratch.jacobian)
+    x, y, z = foot[0] - r * up[0], foot[1] - r * up[1], foot[2] - r * up[2]
+    v[0], v[1], v[2] = cross(w[0], w[1], w[2], x, y, z)
     for k in range(3):
+        v[k] += scratch.lin_vel_b[k]
         for a in range(3):
             v[k] += scratch.jacobian[k, a] * dq[a]
     times(scratch.rotation, v, scratch.change)

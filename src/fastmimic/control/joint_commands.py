@@ -7,10 +7,10 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
-from fastmimic.base.vectors import transposed_times, turned, turned_back
+from fastmimic.base.vectors import solve_damped, transposed_times, turned, turned_back
 from fastmimic.control.footing import feel_for_ground, lift_over
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
-from fastmimic.robot.kinematics import leg_inverse, leg_jacobian
+from fastmimic.robot.kinematics import contact_jacobian, leg_inverse
 
 DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad where nothing better can be computed
 RAIBERT, REGULATED = 1, 2  # kinds of footholds, in the order of `SwingConfig.foothold`'s choices
@@ -21,38 +21,29 @@ DRY_FRICTION_FROM: Final = 0.5  # rad/s; below it friction is compensated in par
 def stance_leg(
     config: Any, model: Any, obs: Any, memory: Any, command: Any, scratch: Any, leg: int, solved: bool
 ) -> None:
-    """τ = −Jᵀ Rᵀ f, plus low-gain feedback towards the foot's next position (paper, eq. 2)."""
-    j, foot = 3 * leg, scratch.feet[leg]
-    q = obs.joint_pos[j : j + 3]
-    leg_jacobian(model.geometry[leg], q[0], q[1], q[2], scratch.jacobian)
-    force_b, v_ref_b, w_ref_b = scratch.force_b, scratch.ref_lin_vel_b, scratch.ref_ang_vel_b
-    transposed_times(scratch.rotation, memory.force[leg], force_b)
-    transposed_times(scratch.jacobian, force_b, scratch.torque)
-    # the contact is below the sphere's centre: moment of the force about the centre, (−r z) × f in the body frame
-    zx, zy, zz = scratch.rotation[2, 0], scratch.rotation[2, 1], scratch.rotation[2, 2]
-    mx, my, mz = cross(zx, zy, zz, force_b[0], force_b[1], force_b[2])
-    r = model.foot_radius
-    pitching = -r * (np.cos(q[0]) * my + np.sin(q[0]) * mz)
-    scratch.torque[0] -= r * mx
-    scratch.torque[1] += pitching
-    scratch.torque[2] += pitching
+    """τ = −Jᵀ Rᵀ f, plus low-gain feedback towards the joints' next positions (paper, eq. 2): those that carry the body
+    with the reference's velocity over feet that roll. J is that of the contact, which the paper's feet have for good:
+    the centre of a ball moves on as it rolls, and to hold it still would push the body off its reference."""
+    j, foot, jacobian, wanted = 3 * leg, scratch.feet[leg], scratch.jacobian, scratch.vector
+    q, up = obs.joint_pos[j : j + 3], scratch.rotation[2]
+    contact_jacobian(model.geometry[leg], q, model.foot_radius, up, jacobian)
+    transposed_times(scratch.rotation, memory.force[leg], scratch.force_b)
+    transposed_times(jacobian, scratch.force_b, scratch.torque)
     stiffness, damping = 0.0, 0.0
     if not solved and memory.force[leg, 2] == 0.0:
         damping = DAMPING_AFTER_FAILURE
-    a, h, k = q[0], q[1], q[2]
+    wanted[0] = wanted[1] = wanted[2] = 0.0
     if config.adaptation > 0:
         stiff, damped, reach = feel_for_ground(config, memory, leg)
         stiffness, damping = stiff * config.stance_kp, max(damping, damped * config.stance_kd)
-        turning = 1.0 if config.adaptation == 2 else 0.0
-        dx = v_ref_b[0] + turning * (w_ref_b[1] * foot[2] - w_ref_b[2] * foot[1])
-        dy = v_ref_b[1] + turning * (w_ref_b[2] * foot[0] - w_ref_b[0] * foot[2])
-        dz = v_ref_b[2] + turning * (w_ref_b[0] * foot[1] - w_ref_b[1] * foot[0])
-        dz += reach
-        dt = config.dt
-        a, h, k, _ = leg_inverse(model.geometry[leg], foot[0] - dx * dt, foot[1] - dy * dt, foot[2] - dz * dt)
-    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+        v, w = scratch.ref_lin_vel_b, scratch.ref_ang_vel_b
+        r, turning = model.foot_radius, 1.0 if config.adaptation == 2 else 0.0
+        x, y, z = foot[0] - r * up[0], foot[1] - r * up[1], foot[2] - r * up[2]
+        x, y, z = cross(turning * w[0], turning * w[1], turning * w[2], x, y, z)
+        solve_damped(jacobian, -v[0] - x, -v[1] - y, -v[2] - z - reach, wanted)
     for i in range(3):
-        command.joint_vel[j + i] = (command.joint_pos[j + i] - q[i]) / config.dt
+        command.joint_vel[j + i] = wanted[i]
+        command.joint_pos[j + i] = q[i] + config.dt * wanted[i]
         command.stiffness[j + i] = stiffness
         command.damping[j + i] = damping
         command.torque[j + i] = -scratch.torque[i]

@@ -49,6 +49,21 @@ def leg_jacobian(g: Array, a: float, h: float, k: float, out: Array) -> None:
 
 
 @inlined
+def contact_jacobian(g: Array, q: Array, radius: float, up: Array, out: Array) -> None:
+    """d/d(a, h, k) of the point of a foot's sphere that is on the ground, into `out` (3, 3), body frame; it belongs to
+    the calf, so that a foot under whose `out` nothing moves rolls. `up` (3,) is the ground's normal there."""
+    leg_jacobian(g, q[0], q[1], q[2], out)
+    c, s = np.cos(q[0]), np.sin(q[0])
+    x, y, z = radius * up[0], radius * up[1], radius * up[2]
+    out[1, 0] += z
+    out[2, 0] -= y
+    for j in range(1, 3):  # about (0, c, s)
+        out[0, j] -= c * z - s * y
+        out[1, j] -= s * x
+        out[2, j] += c * x
+
+
+@inlined
 def leg_inverse(g: Array, px: float, py: float, pz: float) -> tuple[float, float, float, bool]:
     """Joints (a, h, k) for a foot position in the body frame, and whether the leg reaches it. If not, the angles are
     those of the nearest reachable point in the leg's plane, never NaN."""
