@@ -261,6 +261,20 @@ class TestSwingLaw:
         expected = trot.foot_pos_b[self.SAMPLES] + np.array([0.03, 0.04, 0.0]) * faster_b
         np.testing.assert_allclose(target[swinging], expected[swinging], atol=1e-9)
 
+    def test_a_foot_that_the_regulator_shifts_is_as_fast_as_that(self, robot: Robot, trot: Motion) -> None:
+        """Beside the reference's, the joints have the speed at which their targets move while the reference waits."""
+        rig = self.rig(robot, trot, foothold="regulator")
+        observation = on_reference(trot, self.SAMPLES)
+        observation["lin_vel"] += quat_rotate(observation["root_quat"], np.array([0.3, -0.2, 0.0]))
+        for _ in range(20):
+            before = rig.step(observation)
+        commands = rig.step(observation)
+        joints = np.repeat(rig.controller.memory["stance"] == 0, 3, axis=1)
+        moving = (commands["joint_pos"] - before["joint_pos"])[joints] / trot.dt
+        assert np.abs(moving).max() > 1.0
+        own = commands["joint_vel"][joints] - trot.joint_vel[self.SAMPLES][joints]
+        np.testing.assert_allclose(own, moving, atol=0.02 * np.abs(moving).max())
+
     def test_a_levelled_swing_keeps_the_feet_in_the_world_while_the_trunk_tilts(
         self, robot: Robot, trot: Motion
     ) -> None:

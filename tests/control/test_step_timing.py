@@ -49,8 +49,8 @@ def test_an_undisturbed_robot_keeps_the_motions_time(robot: Robot) -> None:
 
 
 def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
-    up, most = pushed(robot, ControllerConfig(), 1.0)
-    fallen, none = pushed(robot, in_own_time(), 1.0)
+    up, most = pushed(robot, ControllerConfig(), 1.4)
+    fallen, none = pushed(robot, in_own_time(), 1.4)
     assert most == ControllerConfig().gait.most_haste
     assert none == 0.0
     assert up.sum() >= fallen.sum() + 4

@@ -10,7 +10,7 @@ from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import solve_damped, transposed_times, turned, turned_back
 from fastmimic.control.footing import feel_for_ground, lift_over
 from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
-from fastmimic.robot.kinematics import contact_jacobian, leg_inverse
+from fastmimic.robot.kinematics import contact_jacobian, leg_inverse, leg_jacobian
 
 DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad where nothing better can be computed
 RAIBERT, REGULATED = 1, 2  # kinds of footholds, in the order of `SwingConfig.foothold`'s choices
@@ -159,7 +159,8 @@ def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Ar
 def swing_leg(
     config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
 ) -> None:
-    """The reference's foot, shifted by the regulator or by −K (v̄ − v) (paper, eq. 3), by inverse kinematics."""
+    """The reference's foot, shifted by the regulator, and as fast as that shifts it, or shifted by −K (v̄ − v) (paper,
+    eq. 3), by inverse kinematics."""
     for j in range(3 * leg, 3 * leg + 3):
         command.stiffness[j] = config.swing_kp
         command.damping[j] = config.swing_kd
@@ -187,8 +188,16 @@ def swing_leg(
     a, h, k, _ = leg_inverse(model.geometry[leg], target[0], target[1], target[2])
     j = 3 * leg
     command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
-    for j in range(3 * leg, 3 * leg + 3):
-        command.joint_vel[j] = ref.joint_vel[j]
+    own = scratch.vector
+    own[0] = own[1] = own[2] = 0.0
+    if config.foothold == REGULATED:
+        x = memory.foot_shift_rate[leg, 0] - scratch.state[6]
+        y = memory.foot_shift_rate[leg, 1] - scratch.state[7]
+        x, y, z = turned_back(scratch.rotation, x, y, 0.0)
+        leg_jacobian(model.geometry[leg], a, h, k, scratch.jacobian)
+        solve_damped(scratch.jacobian, x, y, z, own)
+    for i in range(3):
+        command.joint_vel[j + i] = ref.joint_vel[j + i] + own[i]
 
 
 @inlined
