@@ -109,6 +109,8 @@ def begin_or_end_recovery(
         return True
     if memory.recovering == LEAVES:
         memory.recovering = 0
+        for leg in range(4):  # one that has just landed may have to swing at once
+            memory.since_switch[leg] = max(memory.since_switch[leg], config.min_switch_time)
         return True
     memory.since_recovery += config.dt
     memory.calm = memory.calm + config.dt if memory.urgency < CALM else 0.0

@@ -32,6 +32,7 @@ class EstimatorConfig:
     foot_force: Literal["auto", "off", "on"] = "auto"
     torque_time: float = 0.003
     load_noise: float = 0.02
+    load_rate_noise: float = 1e-4
     load_odds: float = 1.25
     schedule_odds: float = 0.5
     height_scale: float = 0.005

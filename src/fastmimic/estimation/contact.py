@@ -151,9 +151,11 @@ def _judge_sensor(config: Any, state: Any, leg: int) -> None:
 
 
 @inlined
-def _fuse_contact(config: Any, state: Any, leg: int, height: float, planned: bool) -> None:
-    """One foot's contact from its load, its `height` over the ground, m, and whether it is scheduled to stand."""
-    load, noise = state.load[leg], np.sqrt(state.noise[leg])
+def _fuse_contact(config: Any, state: Any, leg: int, rate: Any, height: float, planned: bool) -> None:
+    """One foot's contact from its load, its `height` over the ground, m, and whether it is scheduled to stand; `rate`
+    (3,) are the joints' accelerations, rad/s²: what moves a leg in haste is no load."""
+    hasty = config.load_rate_noise * max(abs(rate[0]), abs(rate[1]), abs(rate[2]))
+    load, noise = state.load[leg], np.sqrt(state.noise[leg] + hasty * hasty)
     if state.believed[leg] == 1:
         m = state.moments[leg]
         share = state.noise[leg] / (state.noise[leg] + m[2] - m[4] * m[4] / m[3])  # by the regression's residual
@@ -202,6 +204,6 @@ def estimate_contact(config: Any, state: Any, reading: Any, scratch: Any, leg: i
         if state.swing_time[leg] > config.tare_delay and height > _AIRBORNE:
             _learn_swing(config, state, scratch, leg)
         rising = state.estimate[2, 1] - scratch.velocity[leg, 2]
-        _fuse_contact(config, state, leg, height + config.height_lead * rising, planned)
+        _fuse_contact(config, state, leg, scratch.rate[leg], height + config.height_lead * rising, planned)
     bears = planned and state.force[leg] > _TOUCHES
     state.stance_time[leg] = state.stance_time[leg] + config.dt if bears else 0.0
