@@ -94,7 +94,8 @@ def test_a_sensor_that_is_wrong_from_the_beginning(case: str, stands: Rig) -> No
 WHILE = {
     "gyroscope frozen": (stuck("gyro"), StopReason.IMU),
     "orientation turned": (mounted(0.3, 1, 0, 0), StopReason.IMU),
-    "accelerometer in g": (scaled("accel", 1 / 9.81), StopReason.IMU),
+    # its mean tells after half a second: by then the estimate may have led a joint to its limit
+    "accelerometer in g": (scaled("accel", 1 / 9.81), StopReason.IMU, StopReason.JOINT_POSITION),
     "a hip frozen": (stuck("joint_pos", "joint_vel", at=4), StopReason.JOINT_SENSOR),
     "joint speeds of the other sign": (scaled("joint_vel", -1.0), StopReason.JOINT_SENSOR),
     "torques dead": (scaled("torque", 0.0), StopReason.TORQUE_SENSOR),
@@ -108,9 +109,10 @@ def stepping(machine: StateMachine) -> bool:
 @pytest.mark.parametrize("case", WHILE)
 def test_a_sensor_that_fails_while_the_robot_trots(case: str, trotting: Rig) -> None:
     """The robot is crouched before it falls: it stands upright until then, and its trunk lands softly."""
-    tamper, reason = WHILE[case]
+    tamper, *reasons = WHILE[case]
     done = trotting.run(watch=once(stepping, lambda machine: tampered(trotting, tamper)), cycles=6)
-    assert (done.outcome.stopped_by, done.result["fell"]) == (reason, False), done.outcome
+    assert done.outcome.stopped_by in reasons, done.outcome
+    assert not done.result["fell"]
     assert done.outcome.phase is DeploymentPhase.FOLLOW
     assert not trotting.sim.body.fell
     before = ~np.isin(done.log.rows["phase"], (DeploymentPhase.CROUCH, DeploymentPhase.DAMP))
