@@ -24,6 +24,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.report.experiment_figures import write_comparison
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import load_motion
+from fastmimic.simulation.conditions import Conditions, parse_terrain
 from searches import QUICK_CHOICE
 
 TINY = ComparisonSettings(
@@ -186,11 +187,11 @@ class TestRows:
         robot = load_robot("a1")
         trot = load_motion("trot", robot)
         start = perturbed_start(8, trot.n_samples, np.random.default_rng(0))
-        start = replace(start, joint_offset=3 * start.joint_offset, velocity_offset=3 * start.velocity_offset)
-        early = {}
+        rough, early = Conditions(terrain=parse_terrain("rough=0.05")), {}
         for name in ("", "no-state-machine"):
             config = ablation_named(name).change(ControllerConfig())
-            early[name] = run_episodes(robot, trot, start=start, duration_s=0.8, config=config).early_contacts
+            found = run_episodes(robot, trot, start=start, duration_s=0.8, config=config, conditions=rough)
+            early[name] = found.early_contacts
         assert early[""].any()
         assert not early["no-state-machine"].any()
 
