@@ -168,4 +168,6 @@ def write_dog(path: Path, cycles: int) -> None:
 if __name__ == "__main__":
     if sys.argv[1] == "--":
         sys.exit(fastmimic(sys.argv[2:]))
+    if sys.argv[1].startswith("-"):
+        sys.exit(__doc__)
     main(Path(sys.argv[1]), [Path(page).resolve() for page in sys.argv[2:]])

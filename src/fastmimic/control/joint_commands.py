@@ -22,8 +22,8 @@ def stance_leg(
     config: Any, model: Any, obs: Any, memory: Any, command: Any, scratch: Any, leg: int, solved: bool
 ) -> None:
     """τ = −Jᵀ Rᵀ f, plus low-gain feedback towards the joints' next positions (paper, eq. 2): those that carry the body
-    with the reference's velocity over feet that roll. J is that of the contact, which the paper's feet have for good:
-    the centre of a ball moves on as it rolls, and to hold it still would push the body off its reference."""
+    with the reference's velocity over feet that roll. J is that of the contact point (the paper's feet are points):
+    the centre of a ball that rolls moves on, and held still it would push the body off its reference."""
     j, foot, jacobian, wanted = 3 * leg, scratch.feet[leg], scratch.jacobian, scratch.vector
     q, up = obs.joint_pos[j : j + 3], scratch.rotation[2]
     contact_jacobian(model.geometry[leg], q, model.foot_radius, up, jacobian)
