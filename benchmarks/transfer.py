@@ -4,12 +4,10 @@
                                   [--out runs/transfer] [--write]
 
 `fastmimic transfer` in `--out`; what is finished there is kept and not run again. Motions of the dog need
-`fastmimic data fetch`, or FASTMIMIC_DATA. `--write` puts the table between the markers in docs/robustness.md, and the
-figure next to it.
+`fastmimic data fetch`, or FASTMIMIC_DATA. `--write` puts the table between the markers in docs/robustness.md.
 """
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
 
@@ -17,10 +15,9 @@ from marked import put
 
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS
-from fastmimic.report.experiment_figures import TRANSFER_FIGURE as FIGURE
 from fastmimic.runs.work_folder import ENVIRONMENT, TABLE
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "robustness.md"
 
 
 def main() -> None:
@@ -41,8 +38,7 @@ def main() -> None:
         command = f"fastmimic transfer {' '.join(args.motions)} --methods {' '.join(args.methods)}"
         command += f" --identify --trials {args.trials} --iterations {args.iterations}"
         table = (args.out / TABLE).read_text(encoding="utf-8").strip()
-        put(DOCS / "robustness.md", "transfer", f"`{command}`\n\n{table}")
-        shutil.copyfile(args.out / FIGURE, DOCS / "images" / "transfer.png")
+        put(PAGE, "transfer", f"`{command}`\n\n{table}")
 
 
 if __name__ == "__main__":
