@@ -8,7 +8,7 @@ from fastmimic.cli import main
 
 def run() -> int:
     """Runs the command line of the process; returns the exit status."""
-    gc.set_threshold(50_000, 20, 100)  # to look through all that is imported as often as usual takes 4 % of a start
+    gc.set_threshold(50_000, 20, 100)  # a start makes many objects that stay: looking through them costs time
     return main()
 
 
