@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
 
 from control.motions import gait
-from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import (
     matrix_from_quat,
@@ -23,7 +23,7 @@ from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import COMMAND
 from fastmimic.simulation.conditions import Conditions, TerrainLevel, parse_disturbance
-from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.pybullet_sim import PybulletSimulation
 from fastmimic.simulation.simulators import make_simulation
 from fastmimic.simulation.terrain import GroundPlane

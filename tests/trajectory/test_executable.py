@@ -56,6 +56,7 @@ def test_a_gallop_keeps_the_motors_limits_between_the_nodes(a1: Robot, data_fold
     assert highest.torque <= 1.0
     assert highest.torque_at_speed <= 1.01
     assert highest.joint_speed <= 0.97
+    assert demands(a1, motion, sample_s=motion.dt, percentile=99).friction <= 0.6
 
 
 def test_solution_is_consistent_and_within_its_bounds(a1: Robot, animal: Motion, turn: Executable) -> None:

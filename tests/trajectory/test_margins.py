@@ -10,6 +10,7 @@ from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
+from fastmimic.trajectory import executable
 from fastmimic.trajectory import solve as solve_module
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import nearest_executable
@@ -98,6 +99,20 @@ def test_more_margins_while_the_robot_falls(a1: Robot, pace: Motion) -> None:
     assert "falls all the same from 12 %" in text
     asked.clear()
     assert nearest_executable(a1, pace, falls=falls([0.5, 0.0])).figures.margins == {"least_force": 0.08}
+
+
+def test_more_margin_while_a_limit_is_exceeded_between_the_nodes(
+    a1: Robot, pace: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert nearest_executable(a1, pace).figures.most < 1
+    uses = iter([1.2, 1.1, 0.9, 1.2, 1.3, 1.25])
+    monkeypatch.setattr(executable, "_most_used", lambda *given: next(uses))
+    kept = nearest_executable(a1, pace).figures
+    assert kept.margins == {"friction": 0.36, "torque_share": 0.75, "speed_share": 0.9}
+    assert kept.most == 0.9
+    worst = nearest_executable(a1, pace).figures  # of three that exceed it the one that exceeds it least
+    assert worst.margins == {}
+    assert "a limit is exceeded between the nodes: 1.20 of it" in worst.lines()
 
 
 def test_what_came_of_running_it_is_kept_for_this_packages_own_check(

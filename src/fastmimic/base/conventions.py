@@ -8,5 +8,6 @@ JOINT_NAMES: Final = tuple(f"{leg}_{joint}" for leg in LEGS for joint in JOINTS_
 LEFT: Final = (False, True, False, True)
 FRONT: Final = (True, True, False, False)
 GRAVITY: Final = 9.81
+GROUND_FRICTION: Final = 0.8  # of the simulated floor, sliding
 LARGEST: Final = 1e5  # in m, rad and per second; a larger number in a motion means a damaged file
 RATE_RANGE_HZ: Final = (1.0, 10_000.0)  # of a motion

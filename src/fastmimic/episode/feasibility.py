@@ -12,30 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, stretches
-from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.rotations import (
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-    quat_rotate_inverse,
-    roll_pitch_from_quat,
-    rotate_planar,
-    yaw_from_quat,
-)
+from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION
+from fastmimic.base.rotations import quat_rotate, roll_pitch_from_quat, rotate_planar, yaw_from_quat
 from fastmimic.episode.reward import MAX_ANGLE, MAX_DISTANCE
 from fastmimic.episode.rollout import Rollout
-from fastmimic.motion.ground import GroundDemand, ground_demand
+from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_jacobians, foot_positions
+from fastmimic.robot.kinematics import foot_positions
 from fastmimic.robot.state import commanded_torque
-from fastmimic.simulation.mujoco_sim import FLOOR, GROUND_FRICTION, build_model
+from fastmimic.simulation.mujoco_sim import FLOOR, build_model
 
 SAMPLE_S: Final = 0.004  # time between the examined instants of a motion
 BEFORE_S: Final = 0.3  # examined time before a fall
-TORQUE_WEIGHT: Final = 1e-3  # of squared joint torques (limits) against the squared residual acceleration (g)
-FORCE_WEIGHT: Final = 1e-6  # of the squared ground forces (weights)
-_PYRAMID: Final = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
 HIGH: Final = 95  # percentile that stands for a greatest value; the very greatest belongs to single samples
 
 MAX_LIMITED: Final = 0.2  # share of the time with a joint at its limit; more than tracked motions ask, as is the next
@@ -66,18 +55,6 @@ class Demands:
     body_clearance_m: float  # least distance of anything but the feet from the ground; negative below it
 
 
-@dataclass(frozen=True, eq=False)
-class LimitUse:
-    """How much of each limit a motion uses at k instants, (k,) each, as in `Demands`; `friction` is NaN without a foot
-    on the ground, `lacking` (k, 6) is the acceleration that the standing feet cannot give, m/s² and rad/s²."""
-
-    joint_speed: Array
-    torque: Array
-    torque_at_speed: Array
-    friction: Array
-    lacking: Array
-
-
 @dataclass(frozen=True)
 class Fall:
     """An episode's early end: the bodies other than feet on the ground, by name; 'touched the ground', 'tipped over',
@@ -98,23 +75,6 @@ class Reason:
 
     kind: str
     text: str
-
-
-def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> LimitUse:
-    """What a motion uses of each limit at its samples (k,), whether or not the robot can."""
-    demand = ground_demand(robot, motion, sample)
-    torque, lacking = _joint_torques(robot, motion, sample, demand)
-    driving = torque * np.sign(motion.joint_vel[sample])
-    speed = np.abs(motion.joint_vel[sample]) / robot.joint_speed_limit
-    total = demand.wrench[:, :3]
-    ratio = np.linalg.norm(total[:, :2], axis=1) / np.maximum(total[:, 2], 0.1 * robot.mass * GRAVITY)
-    return LimitUse(
-        joint_speed=speed.max(axis=1),
-        torque=np.abs(torque).max(axis=1),
-        torque_at_speed=0.5 * (driving + 2 * speed).max(axis=1),
-        friction=np.where(demand.stands.any(axis=1), ratio, np.nan),
-        lacking=lacking,
-    )
 
 
 def demands(robot: Robot, motion: Motion, *, sample_s: float = SAMPLE_S, percentile: float = HIGH) -> Demands:
@@ -185,37 +145,6 @@ def reasons(needs: Demands, fall: Fall | None = None) -> tuple[Reason, ...]:
         ]
     found = tuple(Reason(kind, text) for exceeded, kind, text in asked if exceeded)
     return found if fall is None or len(found) == 1 else found[:-1]
-
-
-def _joint_torques(robot: Robot, motion: Motion, sample: NDArray[np.int_], demand: GroundDemand) -> tuple[Array, Array]:
-    """Joint torques (k, 12), shares of their limits, and the acceleration (k, 6), m/s² and rad/s², that the feet cannot
-    give: of the ground forces nearest to the demand those with the least torques. They are sums along the edges of each
-    foot's friction pyramid."""
-    from scipy.optimize import nnls
-
-    weight = robot.mass * GRAVITY
-    scale = np.concatenate([np.full(3, 1.0 / weight), 1.0 / (GRAVITY * robot.inertia_b.diagonal())])
-    k = len(sample)
-    force = np.broadcast_to(_PYRAMID * np.array([GROUND_FRICTION, GROUND_FRICTION, 1.0]), (k, 4, 4, 3))
-    wrench = np.concatenate([force, np.cross(demand.arm[:, :, None], force)], axis=-1).reshape(k, 16, 6)
-    can = np.repeat(demand.stands, 4, axis=1)
-    push = weight * scale[:, None] * np.swapaxes(wrench * can[..., None], 1, 2)
-    quat = motion.root_quat_wxyz[sample]
-    tilt = quat_multiply(quat_from_yaw(-yaw_from_quat(quat)), quat)
-    force_b = quat_rotate_inverse(tilt[:, None, None], force)
-    jacobian = foot_jacobians(robot, motion.joint_pos[sample])
-    moved = np.zeros((k, 4, 3, 4, 4))  # torque of each leg's joints by its own foot's pushes
-    moved[:, range(4), :, range(4)] = np.einsum("tlij,tlei->ltje", jacobian, force_b)
-    moved = moved.reshape(-1, 12, 16) * can[:, None] * (weight / robot.torque_limit)[:, None]
-    torque, wanted = demand.joint_torque / robot.torque_limit, demand.wrench * scale
-    lacking, small, zero = np.zeros_like(wanted), np.sqrt(FORCE_WEIGHT) * np.eye(16), np.zeros(16)
-    share = np.sqrt(TORQUE_WEIGHT)
-    for i in range(k):
-        rows = np.concatenate([push[i], share * moved[i], small])
-        x = nnls(rows, np.concatenate([wanted[i], share * torque[i], zero]))[0] * can[i]
-        torque[i] -= moved[i] @ x
-        lacking[i] = GRAVITY * (wanted[i] - push[i] @ x)
-    return torque, lacking
 
 
 def _slide(robot: Robot, motion: Motion) -> float:

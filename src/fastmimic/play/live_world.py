@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import GROUND_FRICTION
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.episode.loop import on_ground
 from fastmimic.reference.standing import along, rising_path, smooth, standing_gains
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.mujoco_sim import GROUND_FRICTION, MujocoSimulation
+from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.simulators import Placement
 
 PUSH_S: Final = 0.1  # duration of a push

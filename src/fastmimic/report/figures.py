@@ -15,17 +15,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from fastmimic.base.arrays import Array, stretches
-from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
+from fastmimic.base.conventions import GROUND_FRICTION, JOINTS_PER_LEG, LEGS
 from fastmimic.base.files import packaged
 from fastmimic.base.rotations import roll_pitch_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, take_of
-from fastmimic.episode.feasibility import SAMPLE_S, use_of_limits
+from fastmimic.episode.feasibility import SAMPLE_S
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.measurement import foot_courses, shown_window
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import method_named
+from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import History
 from fastmimic.render import figure_style as style
@@ -33,7 +34,6 @@ from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, LEG
 from fastmimic.render.tracks import Track, rollout_track
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
-from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 _GAIT_COLORS: Final = packaged("fastmimic.report", "gait_colors.json", dict[str, str])
 _AT_LIMIT: Final = 0.9

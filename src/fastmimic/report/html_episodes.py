@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, stretches
-from fastmimic.base.conventions import GRAVITY, JOINTS_PER_LEG, LEGS
+from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.episode.rollout import Log
@@ -16,7 +16,6 @@ from fastmimic.experiments.measurement import foot_courses
 from fastmimic.report import html_page as draw
 from fastmimic.report.html_page import BEFORE, DEMONSTRATION, LIMIT, ONLY, STANCE, Figure, Key, Plot, arrow, numbers
 from fastmimic.robot.state import commanded_torque
-from fastmimic.simulation.mujoco_sim import GROUND_FRICTION
 
 if TYPE_CHECKING:
     from fastmimic.report.html_run import RerunEpisodes

@@ -14,7 +14,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import GRAVITY, LEGS
+from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.robot import Robot
 from fastmimic.robot.mjcf import warn_by_log
@@ -25,7 +25,6 @@ from fastmimic.simulation.terrain import Terrain
 
 FLOOR: Final = "fastmimic_floor"
 WORLD: Final = "world"  # the body that the floor belongs to
-GROUND_FRICTION: Final = 0.8
 FOOT_FIRST: Final = 0.3  # foot radii by which the rest of its link has to be higher than a standing foot
 STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from the vertical, in stance
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping

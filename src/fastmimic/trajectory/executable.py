@@ -2,27 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
-from fastmimic.base.rotations import (
-    quat_from_yaw,
-    quat_multiply,
-    quat_rotate,
-    quat_rotate_inverse,
-    rotate_planar,
-    trunk_quaternion,
-)
+from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.trajectory.config import TrajectoryConfig
-from fastmimic.trajectory.contact_modes import ContactModes, interpolated
 from fastmimic.trajectory.node import METRES, ROWS
-from fastmimic.trajectory.program import Program, Solution, displacement
+from fastmimic.trajectory.program import Program, Solution
+from fastmimic.trajectory.sampled import sampled
 from fastmimic.trajectory.solved import Remembered
 
 _RETRIES: Final[tuple[dict[str, float], ...]] = (
@@ -34,7 +26,13 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
 _SHORTER: Final = {"window_s": 2.0, "overlap_s": 0.7}
 """Windows of a passage that still has none after the first: there is less at once to agree on."""
 _CHECKED_S: Final = 20.0
-_MOMENT_S: Final = 1e-4  # for rates of joint angles
+_CHECKED_EVERY_S: Final = 0.002
+_FRICTION: Final = 0.6  # at 99 % of the instants
+_TIGHTER: Final[tuple[dict[str, float], ...]] = (
+    {"friction": 0.36},
+    {"friction": 0.36, "torque_share": 0.75, "speed_share": 0.9},
+)
+"""Margins that a motion gets, one after another, while it exceeds a limit between the nodes."""
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
     {"least_force": 0.08},
     {"capture_weight": 1000.0, "acceleration_weight": 3e-3, "capture_m": 0.06},
@@ -54,8 +52,10 @@ class ExecutableFigures:
         trunk_m, trunk_deg: RMS change of x, y (along the animal's own way) and z, and of roll, pitch and yaw.
         peak: greatest use of each limit, share of the robot's own: 1 is its limit. `friction` is the coefficient.
         active: share of the time at which a limit, with its margin, is reached.
-        margins: settings that differ from the default ones: margins given up since no motion keeps them, or margins
-            added since the robot fell.
+        most: greatest share of a limit, between the nodes as well, by inverse dynamics at 500 Hz; of friction that
+            at 99 % of the instants, as share of 0.6.
+        margins: settings that differ from the default ones: margins given up since no motion keeps them, or added since
+            the motion exceeded a limit or the robot fell.
         fell: share of the starts from which the robot falls with it all the same; NaN if it was not tried.
         iterations, cost: of the solver.
     """
@@ -67,6 +67,7 @@ class ExecutableFigures:
     trunk_deg: tuple[float, ...]
     peak: dict[str, float]
     active: dict[str, float]
+    most: float
     margins: dict[str, float]
     fell: float
     iterations: int
@@ -84,6 +85,7 @@ class ExecutableFigures:
             f" shorter by up to {1e3 * self.duration_s:.0f} ms",
             f"trunk changed by {', '.join(moved)} RMS",
             f"greatest share of each limit, and the share of the time at it: {used}",
+            *([f"a limit is exceeded between the nodes: {self.most:.2f} of it"] * (self.most > 1)),
             *([f"margins changed: {margins}"] if margins else []),
             *([f"falls all the same from {100 * self.fell:.0f} % of the perturbed starts"] * (self.fell > 0)),
         ]
@@ -113,29 +115,44 @@ def nearest_executable(
 ) -> Executable:
     """The motion nearest to `animal` that the robot can execute.
 
-    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. `falls` gives the share
-    of perturbed starts from which a robot falls with a motion. While it falls, more margins are tried, and the motion
-    that falls least is returned; a passage longer than 20 s is not tried. Raises `MotionError` if no motion keeps the
-    limits; the message says which. A cycle is then solved anew from the animal's motion, a passage, which takes longer,
-    from the motion that falls least so far, whose margins it keeps.
+    `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. A motion that exceeds a
+    limit between the nodes is solved again with more margin. `falls` gives the share of perturbed starts from which a
+    robot falls with a motion: while it falls, other margins are tried, and the motion that falls least is returned. A
+    passage longer than 20 s is not tried. Raises `MotionError` if no motion keeps the limits; the message
+    says which. A cycle is solved anew from the animal's motion, a passage, which takes longer, from the motion that
+    falls least so far, whose margins it keeps.
     """
-    config = config or TrajectoryConfig()
-    problem = Program(robot, animal, config)
+    problem = Program(robot, animal, config or TrajectoryConfig())
     best = _within_limits(problem, {})
-    if falls is None or (animal.cycle is None and animal.period_s > _CHECKED_S):
+    if animal.cycle is None and animal.period_s > _CHECKED_S:
         return best
-    fell = falls_with(falls, robot, best.motion)
+    known: dict[str, float] = {}
+    for more in _TIGHTER:
+        if best.figures.most > 1 and (other := _tried(problem, more, None)) and other.figures.most < best.figures.most:
+            best, known = other, more
+    if falls is None:
+        return best
+    fell, start = falls_with(falls, robot, best.motion), None
     for more in _STEADIER:
         if fell == 0:
             break
-        known, start = ({}, None) if animal.cycle is not None else (best.figures.margins, best.solution.variables)
-        try:
-            other = _within_limits(problem, {**known, **more}, start)
-        except MotionError:
-            continue
-        if (share := falls_with(falls, robot, other.motion)) < fell:
+        if animal.cycle is None:
+            known, start = best.figures.margins, best.solution.variables
+        other = _tried(problem, {**known, **more}, start)
+        if other and (share := falls_with(falls, robot, other.motion)) < fell:
             best, fell = other, share
     return replace(best, figures=replace(best.figures, fell=fell))
+
+
+def _most_used(robot: Robot, motion: Motion, skipped_s: float) -> float:
+    """Greatest share of a limit that a motion uses by inverse dynamics at 500 Hz, without what its ends have skipped;
+    of friction 0.6 at 99 % of the instants."""
+    every, skipped = (max(1, round(time_s * motion.rate_hz)) for time_s in (_CHECKED_EVERY_S, skipped_s))
+    ends = 0 if motion.cycle is not None else min(skipped, motion.n_samples // 3)
+    use = use_of_limits(robot, motion, np.arange(ends, motion.n_samples - ends, every))
+    most = max(use.torque.max(), use.torque_at_speed.max(), use.joint_speed.max())
+    stands = np.isfinite(use.friction)
+    return float(max(most, np.percentile(use.friction[stands], 99) / _FRICTION if stands.any() else 0.0))
 
 
 def falls_with(falls: Callable[[Robot, Motion], float], robot: Robot, motion: Motion) -> float:
@@ -172,7 +189,8 @@ def _within_limits(problem: Program, margins: dict[str, float], start: Array | N
         program = _with_margins(problem, changed)
         solution = program.solve(start, first)
         if solution.converged:
-            return Executable(sampled(program, solution), _figures(program, solution, changed), solution)
+            motion = sampled(program, solution)
+            return Executable(motion, _figures(program, solution, motion, changed), solution)
         if solution.so_far is not None:
             start, first = solution.so_far, solution.first
         elif solution.diverged and not given_up and retries and not long:
@@ -185,11 +203,19 @@ def _within_limits(problem: Program, margins: dict[str, float], start: Array | N
     )
 
 
+def _tried(problem: Program, margins: dict[str, float], start: Array | None) -> Executable | None:
+    """`_within_limits`, or None if no motion keeps them."""
+    try:
+        return _within_limits(problem, margins, start)
+    except MotionError:
+        return None
+
+
 def _with_margins(problem: Program, changed: dict[str, float]) -> Program:
     return replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
 
 
-def _figures(program: Program, solution: Solution, margins: dict[str, float]) -> ExecutableFigures:
+def _figures(program: Program, solution: Solution, motion: Motion, margins: dict[str, float]) -> ExecutableFigures:
     animal = program.animal
     peak = {name: peak for name, (peak, _) in solution.use.items()}
     active = {name: active for name, (_, active) in solution.use.items()}
@@ -204,6 +230,7 @@ def _figures(program: Program, solution: Solution, margins: dict[str, float]) ->
         trunk_deg=tuple(np.degrees(change[3:]).tolist()),
         peak=peak,
         active=active,
+        most=_most_used(program.robot, motion, 2 * float(np.diff(solution.time).max())),
         margins=margins,
         fell=np.nan,
         iterations=solution.iterations,
@@ -234,130 +261,3 @@ def _worst(program: Program, solution: Solution) -> str:
     amount = float(excess[node, row])
     size = f"{1e3 * amount / METRES:.0f} mm" if name in ("feet", "knees", "apart") else f"{100 * amount:.0f} %"
     return f"{_LIMITS[name]} by {size} at {solution.time[node]:.2f} s"
-
-
-def sampled(program: Program, solution: Solution) -> Motion:
-    """The solution at the rate of the animal's motion; the period becomes a whole number of samples."""
-    robot, animal, modes = program.robot, program.motion, program.modes
-    last = max(2, round(solution.time[-1] * animal.rate_hz))
-    n = last if modes.periodic else last + 1
-    time = np.arange(n) * solution.time[-1] / last  # of the solution
-    stretch = last / animal.rate_hz / solution.time[-1]
-    wide = _Path(program, solution)
-    root, rates = wide.root(time)
-    before, joints, after = (wide.joints(time + moment) for moment in (-_MOMENT_S, 0.0, _MOMENT_S))
-    contact = modes.contact[np.searchsorted(np.cumsum(solution.durations)[:-1], time + 1e-9, side="right")]
-    motion = Motion(
-        rate_hz=animal.rate_hz,
-        root_pos_w=root[:, :3],
-        root_quat_wxyz=trunk_quaternion(root[:, 5], root[:, 3:5]),
-        joint_pos=joints,
-        joint_vel=(after - before) / (2 * _MOMENT_S * stretch),
-        foot_pos_b=foot_positions(robot, joints),
-        contact=contact,
-        root_lin_vel_w=rates[:, :3] / stretch,
-        root_ang_vel_w=_angular_velocity(root, rates) / stretch,
-        cycle=_cycle(program, solution, root[0]) if modes.periodic else None,
-        provenance=animal.provenance,
-    )
-    return replace(motion, animal=aligned(animal, modes, solution, time))
-
-
-def _cycle(program: Program, solution: Solution, root: Array) -> Array:
-    """(dx, dy, dyaw) of a period in the heading frame of the first sample, from its x, y, …, yaw (6,)."""
-    step, turn = program.displacement
-    moved = rotate_planar(turn, root[:2]) + solution.stride * step - root[:2]
-    return np.array([*rotate_planar(-root[5], moved), turn])
-
-
-def aligned(animal: Motion, modes: ContactModes, solution: Solution, time: Array) -> Motion:
-    """The animal's motion at the phases of the executable one at `time` (t,), s: its pose and velocities of the same
-    share of the same contact mode."""
-    nodes = np.append(modes.sample, modes.end[-1]) if modes.periodic else modes.sample
-    sample = np.interp(time, solution.time, nodes)
-    moved, turn = displacement(animal)
-
-    def at(values: Array, following: Array) -> Array:
-        return interpolated(values, following if modes.periodic else values[-1], sample)
-
-    position = animal.root_pos_w - np.array([*animal.root_pos_w[0, :2], 0.0])
-    end = np.array([*moved, position[0, 2]])
-    following = quat_multiply(quat_from_yaw(turn), animal.root_quat_wxyz[0])
-    if following @ animal.root_quat_wxyz[-1] < 0:
-        following = -following
-    quat = at(animal.root_quat_wxyz, following)
-
-    def turned(vector: Array) -> Array:
-        return np.array([*rotate_planar(turn, vector[:2]), vector[2]])
-
-    return Motion(
-        rate_hz=animal.rate_hz,
-        root_pos_w=at(position, end),
-        root_quat_wxyz=quat / np.linalg.norm(quat, axis=1, keepdims=True),
-        joint_pos=at(animal.joint_pos, animal.joint_pos[0]),
-        joint_vel=at(animal.joint_vel, animal.joint_vel[0]),
-        foot_pos_b=at(animal.foot_pos_b, animal.foot_pos_b[0]),
-        contact=animal.contact[np.minimum(np.floor(sample + 1e-9).astype(int), animal.n_samples - 1)],
-        root_lin_vel_w=at(animal.root_lin_vel_w, turned(animal.root_lin_vel_w[0])),
-        root_ang_vel_w=at(animal.root_ang_vel_w, turned(animal.root_ang_vel_w[0])),
-        cycle=animal.cycle,
-        provenance=animal.provenance,
-    )
-
-
-class _Path:
-    """The solution as functions of time; a cycle's with the periods before and after it.
-
-    Halfway between two nodes a path has their mean and the speed from one to the other; in between it is cubic. Where
-    nodes are evenly spaced it is a quadratic spline with the problem's own accelerations, so that it keeps the limits
-    that the nodes keep.
-    """
-
-    def __init__(self, program: Program, solution: Solution) -> None:
-        from scipy.interpolate import PchipInterpolator
-
-        modes, q, time = program.modes, solution.coordinates, solution.time
-        if modes.periodic:
-            step, turn = solution.stride * program.displacement[0], program.displacement[1]
-            before, after = q.copy(), q.copy()
-            before[:, :2], before[:, 5] = rotate_planar(-turn, q[:, :2] - step), q[:, 5] - turn
-            after[:, :2], after[:, 5] = rotate_planar(turn, q[:, :2]) + step, q[:, 5] + turn
-            time, period = time[:-1], time[-1]
-            q, time = np.concatenate([before, q, after]), np.concatenate([time - period, time, time + period])
-        self.robot, turned = program.robot, trunk_quaternion(q[:, 5], q[:, 3:5])
-        feet = q[:, None, :3] + quat_rotate(turned[:, None], foot_positions(program.robot, q[:, 6:]))
-        self._root, self._feet, self._joints = (_smooth(time, values) for values in (q[:, :6], feet, q[:, 6:]))
-        swings = np.tile(~modes.stands, (len(time) // modes.n_nodes + 1, 1))[: len(time)]
-        self._swings = PchipInterpolator(time, np.repeat(swings, 3, axis=1).astype(float))
-
-    def root(self, time: Array) -> tuple[Array, Array]:
-        """Position, roll, pitch, yaw (t, 6) and their rates."""
-        return self._root(time), self._root(time, 1)
-
-    def joints(self, time: Array) -> Array:
-        """Joint angles (t, 12): a standing leg's by its foot's path, a swinging one's by their own; between two nodes
-        from the one to the other."""
-        root = self._root(time)
-        quat = trunk_quaternion(root[:, 5], root[:, 3:5])
-        foot_b = quat_rotate_inverse(quat[:, None], self._feet(time) - root[:, None, :3])
-        standing = np.unwrap(inverse_kinematics(self.robot, foot_b)[0], axis=0)
-        return np.asarray(standing + self._swings(time) * (self._joints(time) - standing))
-
-
-def _smooth(time: Array, values: Array) -> Any:
-    """A path near values (n, …) at the nodes' times (n,); it begins and ends at the first and last of them."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    steps = np.diff(time).reshape(-1, *[1] * (values.ndim - 1))
-    slopes = np.diff(values, axis=0) / steps
-    at = np.concatenate([time[:1], 0.5 * (time[1:] + time[:-1]), time[-1:]])
-    through = np.concatenate([values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]])
-    return CubicHermiteSpline(at, through, np.concatenate([slopes[:1], slopes, slopes[-1:]]))
-
-
-def _angular_velocity(root: Array, rates: Array) -> Array:
-    """(t, 3) rad/s, world, from roll, pitch, yaw and their rates in columns 3 to 5."""
-    pitch, yaw = root[:, 4], root[:, 5]
-    roll_rate, pitch_rate, yaw_rate = rates[:, 3:].T
-    planar = rotate_planar(yaw, np.stack([np.cos(pitch) * roll_rate, pitch_rate], axis=1))
-    return np.column_stack([planar, yaw_rate - np.sin(pitch) * roll_rate])
