@@ -12,6 +12,7 @@ from fastmimic.episode.plan import Start, nominal_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.optimize import cma_es
 from fastmimic.optimize.cma_es import Checkpoint, CmaSettings, Optimum, Progress, optimize
+from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import ImitationProblem
 from fastmimic.runs.work_folder import CHECKPOINT
 from searches import QUICK_CHOICE
@@ -143,6 +144,19 @@ class TestSearch:
         longer = replace(free, iterations=len(first.history.best) + 3)
         again = optimize(problem, longer, checkpoint=file, resume=True)  # type: ignore[arg-type]
         assert_same(again, optimize(problem, longer))  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("lucky", [True, False])
+    def test_what_is_better_by_chance_is_not_taken(self, lucky: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = Bowl()
+        luck = np.array([0.9, -0.1, -0.1, 0.1] if lucky else [0.3, 0.2, 0.2, 0.1])  # both 0.2 in the mean
+
+        def scores(tables: np.ndarray, start: object, steps: int) -> np.ndarray:
+            return luck * (not np.array_equal(tables[0], problem.initial))
+
+        monkeypatch.setattr(problem, "scores", scores)
+        optimum = optimize(problem, replace(SETTINGS, choice=FinalChoice()))  # type: ignore[arg-type]
+        assert np.array_equal(optimum.x, problem.initial) == lucky
+        assert optimum.validation == (0.0 if lucky else pytest.approx(0.2))
 
 
 class Bowl:

@@ -131,8 +131,8 @@ def optimize(
     progress: Callable[[Progress], None] | None = None,
 ) -> Optimum:
     """Maximises the problem's objective. Longer episodes from perturbed starts choose the result among the best
-    candidates of all iterations and the unmodulated motion, so that one lucky episode does not decide. Ctrl-C ends the
-    search early and keeps its results so far.
+    candidates of all iterations and the unmodulated motion, so that one lucky episode does not decide; what is better
+    by chance alone is not taken. Ctrl-C ends the search early and keeps its results so far.
 
     The file `checkpoint` takes the course every few iterations; with `resume` the search goes on from it, and the
     result is bit for bit that of an uninterrupted run.
@@ -141,6 +141,12 @@ def optimize(
     if an episode is too short for its disturbances, and `OutputError` if the checkpoint cannot be written.
     """
     return _Search(problem, settings, Path(checkpoint) if checkpoint is not None else None).run(resume, progress)
+
+
+def _is_better(gains: Array) -> bool:
+    """Whether gains (n,) from the same starts are more than chance: their mean above two standard errors."""
+    error = gains.std(ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    return bool(gains.mean() > 2 * error)
 
 
 class _Search:
@@ -248,21 +254,25 @@ class _Search:
         Checkpoint(self.identity, np.array(self.candidates), np.array(self.scores), elapsed).save(self.checkpoint)
 
     def _choose(self, given: Array) -> tuple[Array, float, float, bool]:
-        """The candidate with the best validation: x, score, validation, and whether Ctrl-C cut the validation short."""
+        """The candidate with the best validation, unless the unmodulated motion's is as good but for chance: x, score,
+        validation, and whether Ctrl-C cut the validation short."""
         best, own = self._best(float(given[0]))
         x, scores = np.concatenate([self.given, best]), np.concatenate([given, own])
         rng = np.random.default_rng([self.settings.seed, 1])
         start, steps = self.problem.validation(self.choice.episodes, self.choice.duration_s, rng)
         self.validation_steps = steps
         tables = self.problem.tables(x)
-        validation, hurried = np.full(len(x), np.nan), False
+        each, hurried = np.full((len(x), start.n), np.nan), False
         try:
             for i, table in enumerate(tables):
-                validation[i] = np.mean(self.problem.scores(np.repeat(table[None], start.n, axis=0), start, steps))
+                each[i] = self.problem.scores(np.repeat(table[None], start.n, axis=0), start, steps)
         except KeyboardInterrupt:
             hurried = True
+        validation = each.mean(axis=1)
         self.validated = int(np.isfinite(validation).sum())
         chosen = int(np.nanargmax(validation)) if self.validated else int(np.argmax(scores))
+        if self.validated and not _is_better(each[chosen] - each[0]):
+            chosen = 0
         return x[chosen], float(scores[chosen]), float(validation[chosen]), hurried
 
     def _best(self, baseline: float) -> tuple[Array, Array]:
