@@ -69,7 +69,7 @@ def test_the_rate_is_the_derivative_of_the_shape(dmp: RhythmicDmp) -> None:
     np.testing.assert_allclose(velocity(dmp, p), shape_rate(dmp, p) * 2 * np.pi / PERIOD, atol=1e-12)
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.0137, 0.1])
+@pytest.mark.parametrize("dt", [0.002, 0.0137, 0.1])
 def test_the_integrated_form_stays_on_the_closed_form(dmp: RhythmicDmp, dt: float) -> None:
     integrator = DmpIntegrator(dmp, phase=0.4)
     phase, positions, velocities = np.zeros(int(2 * PERIOD / dt) + 1), [], []
