@@ -22,6 +22,7 @@ from fastmimic.base.rotations import (
     quat_multiply,
     rotvec_from_quat,
 )
+from fastmimic.base.vectors import quat_turned
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.robot.state import READING
@@ -62,14 +63,6 @@ def _small_turn(before: Any, after: Any) -> tuple[float, float, float]:
     return turned * p, turned * q, turned * r
 
 
-@inlined
-def _in_world(quat: Any, vector: Any) -> tuple[float, float, float]:
-    """A vector of the body's frame in the world's."""
-    w, x, y, z, a, b, c = quat[0], quat[1], quat[2], quat[3], vector[0], vector[1], vector[2]
-    p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    return a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p
-
-
 @kernel
 def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: Any, elapsed_s: float) -> None:
     """Adds up what the sensors say differently in a reading (1,) of `READING` and the last one, and their bits; to the
@@ -91,7 +84,7 @@ def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: A
     if not (first or 0.0 < elapsed_s <= _GAP_S):
         return
     turn, slip, mean = math.exp(-elapsed_s / _TURN_S), math.exp(-elapsed_s / _SLIP_S), math.exp(-elapsed_s / _GRAVITY_S)
-    told, turned = _in_world(now.quat, now.accel), _small_turn(last.quat, now.quat)
+    told, turned = quat_turned(now.quat, now.accel), _small_turn(last.quat, now.quat)
     for k in range(3):
         s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
         s.turn[k] = turn * (s.turn[k] + turned[k] - half * (last.gyro[k] + now.gyro[k]))
