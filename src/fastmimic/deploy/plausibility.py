@@ -160,7 +160,7 @@ class Lean:
     def __init__(self, robot: Robot, stand: Array, angle: float) -> None:
         """`stand` (12,) are the joints of the standing posture, rad; `angle` is how far it leans, rad."""
         self._robot, self._angle = robot, angle
-        self._feet = foot_positions(robot, stand[None])[0]
+        self._feet = foot_positions(robot, stand)
         self._weight = robot.mass * GRAVITY
         centred = self._feet - self._feet.mean(0)
         # feet that stay where they are: seen from a trunk turned by r they move by −r × p
@@ -174,7 +174,7 @@ class Lean:
     def posture(self, share: float) -> Array:
         """The joints (12,), rad, at a share in [0, 1] of the lean."""
         turned = self._feet @ matrix_from_quat(quat_from_rotvec(self._rotation(share)))
-        return inverse_kinematics(self._robot, turned[None])[0][0]
+        return inverse_kinematics(self._robot, turned)[0]
 
     def add(self, reading: NDArray[Any], wanted: Array, elapsed_s: float, load: float) -> None:
         """Takes in a state (1,) of `READING`, the commanded joints (12,), and the `load` that the torques tell, N,
@@ -188,7 +188,7 @@ class Lean:
         seen, dt = np.array(list(readings), READING), np.array(times)[:, None]
         joints, wanted = _moved(seen["joint_pos"]), _moved(np.array(commanded))
         travelled = _moved(np.cumsum(seen["joint_vel"] * dt, 0))
-        feet = np.stack([foot_positions(self._robot, q[None])[0] for q in seen["joint_pos"]])
+        feet = foot_positions(self._robot, seen["joint_pos"])
         turned = rotvec_from_quat(quat_multiply(quat_conjugate(seen["quat"][:1]), seen["quat"]))
         return (
             _joint_doubt(joints, wanted, "angle", "command")
