@@ -119,3 +119,27 @@ def test_evaluate_steers_by_a_script(
 def test_what_evaluate_cannot_steer_by(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "steer", *arguments]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("lines", "duration", "said"),
+    [
+        ("0,0.3,0,0\n", [], "no control step in 0 s"),
+        ("-1,0.3,0,0\n", [], "no control step in -1 s"),
+        ("0,0.3,0,0\n2,0,0,0\n", ["--duration", "0.0005"], "no control step in 0.0005 s"),
+    ],
+)
+def test_a_time_without_a_control_step_is_said_before_the_gaits_are_made(
+    lines: str,
+    duration: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("fastmimic.steering.gait_field.gait_field", lambda *_, **__: pytest.fail("gaits are made"))
+    (tmp_path / "short.csv").write_text(lines)
+    assert main(["evaluate", "steer", "--commands", str(tmp_path / "short.csv"), *duration]) == 2
+    lines_said = capsys.readouterr().err.splitlines()
+    assert len(lines_said) == 1
+    assert said in lines_said[0]

@@ -9,10 +9,14 @@ from pathlib import Path
 import pytest
 
 from cli.running import Run
+from fastmimic.base.errors import DriverError
 from fastmimic.cli import main
+from fastmimic.deploy.deployment import DeployOptions
+from fastmimic.deploy.driver import RobotDriver
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.motion.motion import Motion
+from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
 
 QUICK = ("--driver", "sim", "--lock-step", "--duration", "0.2")
@@ -65,6 +69,21 @@ def test_json_is_one_object_on_stdout(run: Run) -> None:
     assert found["log"] == "elsewhere.mcap"
     assert Path("elsewhere.mcap").is_file()
     assert not Path("there/log.mcap").exists()
+
+
+@pytest.mark.parametrize(("said", "asked"), [("auto", None), ("on", True), ("off", False)])
+def test_real_time_scheduling_is_requested_as_said(
+    said: str, asked: bool | None, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+
+    def deploy(motion: Motion, robot: Robot, driver: RobotDriver, options: DeployOptions, **_: object) -> None:
+        found.append(options.real_time)
+        raise DriverError("seen enough")
+
+    monkeypatch.setattr("fastmimic.deploy.deployment.deploy", deploy)
+    assert run("deploy", "stand", *QUICK, "--real-time", said).error == "seen enough"
+    assert found == [asked]
 
 
 def test_its_log_can_be_evaluated(run: Run, in_folder: Path, deployed: Path) -> None:

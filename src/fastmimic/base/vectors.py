@@ -1,6 +1,6 @@
 """Vector algebra of the kernels: 3-vectors and 3 × 3 matrices in arrays, without allocation."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,6 +17,14 @@ def quat_to_matrix(q: Array, out: Array) -> None:
     out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
     out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
     out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@inlined
+def quat_turned(q: Any, v: Any) -> tuple[float, float, float]:
+    """A vector (3,) turned by the unit quaternion (w, x, y, z): v + 2 w (u × v) + 2 u × (u × v). Arrays or tuples."""
+    w, x, y, z, a, b, c = q[0], q[1], q[2], q[3], v[0], v[1], v[2]
+    s, t, u = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s
 
 
 @inlined

@@ -44,6 +44,7 @@ EXIT_CUT_OFF: Final = 4
 """Exit status: all went as planned, but the log or the figures are not on the disk."""
 STAND: Final = "stand"
 SIMULATED: Final = ("go2",)
+REAL_TIME: Final = {"auto": None, "on": True, "off": False}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +212,7 @@ class Deploy:
             endless=endless,
             limits=limits,
             dry_run=dry,
+            real_time=REAL_TIME[self.real_time],
             log=log,
             about={"driver": self.driver, "arguments": opt.recorded(self), "versions": versions()},
         )

@@ -107,11 +107,16 @@ class Evaluate:
             raise ConfigError(f"{name} is for a motion; leave it out to steer")
         if conditions.simulator != FIRST_SIMULATOR:
             raise ConfigError(f"a robot is steered in {FIRST_SIMULATOR} only, not in {conditions.simulator}")
-        script, gaits = CommandScript(self.steered.commands), self.steered.gaits(self.robot)
+        script, config = CommandScript(self.steered.commands), controller_config(self.config or "default")
+        seconds = self.duration or script.end_s or 0.0
+        if round(seconds * config.rate_hz) < 1:
+            raise ConfigError(
+                f"{self.steered.commands}: there is no control step in {seconds:g} s; give it a later last time, or"
+                " a longer --duration"
+            )
+        gaits = self.steered.gaits(self.robot)
         with slow_start():
-            config = self.config or "default"
             session = LiveSession(gaits.robot, {}, config=config, conditions=conditions, gaits=gaits)
-            seconds = self.duration or script.end_s or 0.0
             found = follow(session, script.velocity, seconds, SteeringFigures()).as_dict()
         if self.json:
             put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))

@@ -23,7 +23,7 @@ from fastmimic.control.joint_commands import (
     swing_leg,
 )
 from fastmimic.control.native import make_workspace, seconds_now
-from fastmimic.control.recovery import LEAVES, NO_RECOVERY, begin_or_end_recovery, recovery_gaits, stay_with
+from fastmimic.control.recovery import LEAVES, NO_RECOVERY, begin_or_end_recovery, recovery_gaits
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, begin_legs, plan_leg, stance_forces
 from fastmimic.control.tracking import (
     body_frame,
@@ -34,7 +34,7 @@ from fastmimic.control.tracking import (
 )
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import GAINS, STATES, motion_gains
-from fastmimic.reference.table import CLOCK, advance_clock, stack_tables, steps_due, taken_up_at
+from fastmimic.reference.table import CLOCK, advance_clock, put_root_at, stack_tables, steps_due, taken_up_at
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, MEMORY, OBSERVATION, pack_model
 
@@ -145,7 +145,7 @@ def control_step(
         if memory.recovering > 0:
             for _ in range(steps_due(own, trot.shape[0], memory.haste, trot)):
                 advance_clock(own, trot.shape[0], obs.root_pos[0], obs.root_pos[1], trot)
-            stay_with(own, trot, obs)
+            put_root_at(own, trot, obs.root_pos[0], obs.root_pos[1])  # it has a velocity to keep, and no place
             if memory.recovering == LEAVES:
                 memory.haste = taken_up_at(memory.taken_up)
 

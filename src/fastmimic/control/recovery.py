@@ -31,7 +31,7 @@ from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import GAINS, regulator_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
-from fastmimic.reference.table import SAMPLE, once, reference_table
+from fastmimic.reference.table import SAMPLE, once, put_root_at, reference_table
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 
@@ -150,15 +150,7 @@ def _begin(config: Any, ref: Any, clock: Any, trot: Any, own: Any, obs: Any, mem
     turn = heading_of(trot[n - 1].root_quat) - heading_of(trot[0].root_quat)
     own.cycle_step[2] = turn * n / (n - 1)
     own.origin[2] = clock.origin[2] + heading_of(ref.root_quat) - heading_of(trot[best].root_quat)
-    stay_with(own, trot, obs)
-
-
-@inlined
-def stay_with(own: Any, trot: Any, obs: Any) -> None:
-    """Puts the trot where the robot is: it has a velocity to keep, and no place."""
-    c, s, root = np.cos(own.origin[2]), np.sin(own.origin[2]), trot[own.sample].root_pos
-    own.origin[0] = obs.root_pos[0] - (c * root[0] - s * root[1])
-    own.origin[1] = obs.root_pos[1] - (s * root[0] + c * root[1])
+    put_root_at(own, trot, obs.root_pos[0], obs.root_pos[1])
 
 
 @inlined

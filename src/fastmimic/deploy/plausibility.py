@@ -22,6 +22,7 @@ from fastmimic.base.rotations import (
     quat_multiply,
     rotvec_from_quat,
 )
+from fastmimic.base.vectors import quat_turned
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 from fastmimic.robot.state import READING
@@ -62,14 +63,6 @@ def _small_turn(before: Any, after: Any) -> tuple[float, float, float]:
     return turned * p, turned * q, turned * r
 
 
-@inlined
-def _in_world(quat: Any, vector: Any) -> tuple[float, float, float]:
-    """A vector of the body's frame in the world's."""
-    w, x, y, z, a, b, c = quat[0], quat[1], quat[2], quat[3], vector[0], vector[1], vector[2]
-    p, q, r = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    return a + w * p + y * r - z * q, b + w * q + z * p - x * r, c + w * r + x * q - y * p
-
-
 @kernel
 def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: Any, elapsed_s: float) -> None:
     """Adds up what the sensors say differently in a reading (1,) of `READING` and the last one, and their bits; to the
@@ -91,7 +84,7 @@ def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: A
     if not (first or 0.0 < elapsed_s <= _GAP_S):
         return
     turn, slip, mean = math.exp(-elapsed_s / _TURN_S), math.exp(-elapsed_s / _SLIP_S), math.exp(-elapsed_s / _GRAVITY_S)
-    told, turned = _in_world(now.quat, now.accel), _small_turn(last.quat, now.quat)
+    told, turned = quat_turned(now.quat, now.accel), _small_turn(last.quat, now.quat)
     for k in range(3):
         s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
         s.turn[k] = turn * (s.turn[k] + turned[k] - half * (last.gyro[k] + now.gyro[k]))
@@ -167,7 +160,7 @@ class Lean:
     def __init__(self, robot: Robot, stand: Array, angle: float) -> None:
         """`stand` (12,) are the joints of the standing posture, rad; `angle` is how far it leans, rad."""
         self._robot, self._angle = robot, angle
-        self._feet = foot_positions(robot, stand[None])[0]
+        self._feet = foot_positions(robot, stand)
         self._weight = robot.mass * GRAVITY
         centred = self._feet - self._feet.mean(0)
         # feet that stay where they are: seen from a trunk turned by r they move by −r × p
@@ -181,7 +174,7 @@ class Lean:
     def posture(self, share: float) -> Array:
         """The joints (12,), rad, at a share in [0, 1] of the lean."""
         turned = self._feet @ matrix_from_quat(quat_from_rotvec(self._rotation(share)))
-        return inverse_kinematics(self._robot, turned[None])[0][0]
+        return inverse_kinematics(self._robot, turned)[0]
 
     def add(self, reading: NDArray[Any], wanted: Array, elapsed_s: float, load: float) -> None:
         """Takes in a state (1,) of `READING`, the commanded joints (12,), and the `load` that the torques tell, N,
@@ -195,7 +188,7 @@ class Lean:
         seen, dt = np.array(list(readings), READING), np.array(times)[:, None]
         joints, wanted = _moved(seen["joint_pos"]), _moved(np.array(commanded))
         travelled = _moved(np.cumsum(seen["joint_vel"] * dt, 0))
-        feet = np.stack([foot_positions(self._robot, q[None])[0] for q in seen["joint_pos"]])
+        feet = foot_positions(self._robot, seen["joint_pos"])
         turned = rotvec_from_quat(quat_multiply(quat_conjugate(seen["quat"][:1]), seen["quat"]))
         return (
             _joint_doubt(joints, wanted, "angle", "command")

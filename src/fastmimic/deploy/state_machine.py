@@ -144,7 +144,7 @@ class StateMachine:
             self._standing_feet[:, 2] = foot_positions(self.robot, last)[0, :, 2].min()
             self._keep_torques(last[0])
         feet = self._standing_feet + smooth(share) * (self._folded_feet - self._standing_feet)
-        joints = inverse_kinematics(self.robot, feet[None])[0][0]
+        joints = inverse_kinematics(self.robot, feet)[0]
         return self._hold(self._from + smooth(3.0 * share) * (joints - self._from))
 
     def leave(self) -> None:
@@ -301,5 +301,5 @@ class StateMachine:
 
 def _height(robot: Robot, joints: Array) -> float:
     """Mean height of the hips over the feet, m."""
-    feet = foot_positions(robot, joints[None])[0]
+    feet = foot_positions(robot, joints)
     return float(np.mean(robot.hip_pos_b[:, 2] - feet[:, 2]))

@@ -38,13 +38,9 @@ class LiveWorld:
     ground, and `payload_kg` at the trunk's centre of mass, unknown to the controller."""
 
     def __init__(self, simulation: MujocoSimulation) -> None:
-        import mujoco
-
-        model = simulation.model
+        model, self.trunk = simulation.model, simulation.trunk
         self._batch = simulation.batch
         self._step_s = simulation.substeps * float(model.opt.timestep)
-        free = int(np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))[0])
-        self.trunk = int(model.jnt_bodyid[free])
         self._applied = self._batch.bind("xfrc_applied")
         self._mass = self._batch.expand("body_mass")
         self._sliding = self._batch.expand("geom_friction")

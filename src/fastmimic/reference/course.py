@@ -16,7 +16,7 @@ from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, turned_about_z, yaw_from_quat
-from fastmimic.base.vectors import copy
+from fastmimic.base.vectors import copy, quat_turned
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
@@ -310,12 +310,8 @@ def _sample(
 def to_body(tilt: Array, later: Array, share: float, z: float, q: Array, foot: Array) -> None:
     """A foot (3,) from the root's heading frame (z from the ground) to its body frame; `q` (4,) is work memory."""
     _blend(tilt, later, share, q)
-    w, a, b, c = q[0], -q[1], -q[2], -q[3]
-    x, y, h = foot[0], foot[1], foot[2] - z
-    t0, t1, t2 = 2 * (b * h - c * y), 2 * (c * x - a * h), 2 * (a * y - b * x)
-    foot[0] = x + w * t0 + b * t2 - c * t1
-    foot[1] = y + w * t1 + c * t0 - a * t2
-    foot[2] = h + w * t2 + a * t1 - b * t0
+    back, above = (q[0], -q[1], -q[2], -q[3]), (foot[0], foot[1], foot[2] - z)
+    foot[0], foot[1], foot[2] = quat_turned(back, above)
 
 
 @kernel

@@ -28,15 +28,10 @@ def standing(robot: Robot) -> Motion:
 
 def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:
     """Joints (33, 12), rad, from folded legs straight up to the posture `stand` (12,); base height when folded, m."""
-    feet = foot_positions(robot, stand[None])[0]
+    feet = foot_positions(robot, stand)
     folded = np.array(feet)
     folded[:, 2] = robot.hip_pos_b[:, 2] - _FOLDED * robot.leg_length
-    path = np.stack(
-        [
-            inverse_kinematics(robot, (feet + share * (folded - feet))[None])[0][0]
-            for share in np.linspace(1, 0, _PATH_ROWS)
-        ]
-    )
+    path, _ = inverse_kinematics(robot, feet + np.linspace(1, 0, _PATH_ROWS)[:, None, None] * (folded - feet))
     return np.clip(path, robot.joint_lower, robot.joint_upper), float(-folded[:, 2].mean()) + robot.foot_radius
 
 

@@ -204,12 +204,17 @@ def _hold(clock: Any, at: tuple[float, float], wanted: tuple[float, float]) -> N
 
 
 @inlined
-def synchronise(clock: Any, table: Any, x: float, y: float, moved_x: float, moved_y: float) -> None:
-    """Moves the origin from where it had moved so that the reference is at (x, y)."""
-    c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    root = table[clock.sample].root_pos
+def put_root_at(clock: Any, table: Any, x: float, y: float) -> None:
+    """Moves the origin so that the reference is at (x, y)."""
+    c, s, root = np.cos(clock.origin[2]), np.sin(clock.origin[2]), table[clock.sample].root_pos
     clock.origin[0] = x - (c * root[0] - s * root[1])
     clock.origin[1] = y - (s * root[0] + c * root[1])
+
+
+@inlined
+def synchronise(clock: Any, table: Any, x: float, y: float, moved_x: float, moved_y: float) -> None:
+    """Moves the origin from where it had moved so that the reference is at (x, y)."""
+    put_root_at(clock, table, x, y)
     clock.jump += np.hypot(clock.origin[0] - moved_x, clock.origin[1] - moved_y)
 
 

@@ -144,14 +144,10 @@ def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
     return np.asarray(quat_rotate(quat[:, None], knee_b)[..., 2])
 
 
-def joint_velocity(joint_pos: Array, rate_hz: float, periodic: bool) -> Array:
-    """(t, 12) rad/s."""
-    return differentiate(pad(joint_pos, periodic), 1.0 / rate_hz)
-
-
 def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
     """The motion of a pose and its contacts (t, 4), with velocities, without provenance."""
-    position, quat = (pad(values, track.cycle is not None) for values in (pose.root_pos_w, pose.root_quat_wxyz))
+    paths = pose.root_pos_w, pose.root_quat_wxyz, pose.joint_pos
+    position, quat, joint_pos = (pad(values, track.cycle is not None) for values in paths)
     if track.cycle is not None:
         turn = quat_from_yaw(track.cycle[2])
         for rows, cycles in ((slice(0, 2), -1), (slice(-2, None), 1)):
@@ -164,7 +160,7 @@ def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz
         root_pos_w=pose.root_pos_w,
         root_quat_wxyz=pose.root_quat_wxyz,
         joint_pos=pose.joint_pos,
-        joint_vel=joint_velocity(pose.joint_pos, rate_hz, track.cycle is not None),
+        joint_vel=differentiate(joint_pos, 1.0 / rate_hz),
         foot_pos_b=pose.foot_pos_b,
         contact=contact,
         root_lin_vel_w=differentiate(position, 1.0 / rate_hz),

@@ -58,8 +58,11 @@ class Retargeting:
         self.clip, self.robot, self.rate_hz, self.scale = clip, robot, rate_hz, scale
         self.source = extract(clip, scale, config.roll_share)
         self.own_body = _is_own_body(clip, robot, scale)
-        self.config = _for_own_body(config) if self.own_body else config
-        self.lowered = 0.0 if self.own_body else config.crouch_m * scale / DOG_SCALE
+        self.config, self.lowered = config, config.crouch_m * scale / DOG_SCALE
+        if self.own_body:  # it keeps its height, and its feet are known exactly
+            enter, leave = _EXACT_FEET * config.contact.enter, _EXACT_FEET * config.contact.leave
+            contact = replace(config.contact, enter=enter, leave=leave)
+            self.config, self.lowered = replace(config, contact=contact, max_raising_m=0.0), 0.0
         self.periodic, self.cycle_reason = whether_cycle(self.clip, self.source, cycle, self.config)
 
     def prepare_source(self) -> None:
@@ -145,7 +148,9 @@ class Retargeting:
         self.offset = np.zeros((4, 2))
         if not self.own_body:
             self.offset = foot_offsets(self.robot, track, self.stances, config.stance_width)
-        self.raw_w = self._animal_feet()
+        local = self.robot.hip_pos_b[:, :2] + self.offset + track.toe_from_hip
+        xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
+        self.raw_w = np.concatenate([xy, track.toe_height[..., None]], axis=-1)
         if not config.consistent:
             feet_w = self.raw_w + np.array([0.0, 0.0, self.robot.foot_radius])
         elif self.periodic:
@@ -157,12 +162,6 @@ class Retargeting:
             feet_w = self._planted()
         self.pose = solve_pose(self.robot, self.track, feet_w, self.height, config, max_raising)
         self.motion = motion_of(self.pose, self.track, contact_mask(self.stances, self.n), self.rate_hz)
-
-    def _animal_feet(self) -> Array:
-        track = self.track
-        local = self.robot.hip_pos_b[:, :2] + self.offset + track.toe_from_hip
-        xy = track.root_xy[:, None] + rotate_planar(track.heading[:, None], local)
-        return np.concatenate([xy, track.toe_height[..., None]], axis=-1)
 
     def _planted(self) -> Array:
         """The feet (n, 4, 3) with their stances held, world, m."""
@@ -227,14 +226,6 @@ def _is_own_body(clip: Clip, robot: Robot, scale: float) -> bool:
     centre = clip.hips_w.mean(axis=1, keepdims=True)
     hips = scale * quat_rotate_inverse(clip.root_quat_wxyz[:, None], clip.hips_w - centre)
     return bool(np.abs(hips - (robot.hip_pos_b - robot.hip_pos_b.mean(axis=0))).max() < _SAME_BODY_M)
-
-
-def _for_own_body(config: RetargetConfig) -> RetargetConfig:
-    """Settings for a robot's own motion: it keeps its height, and its feet are known exactly."""
-    contact = replace(
-        config.contact, enter=_EXACT_FEET * config.contact.enter, leave=_EXACT_FEET * config.contact.leave
-    )
-    return replace(config, contact=contact, max_raising_m=0.0)
 
 
 def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, config: RetargetConfig) -> ScaledClip:

@@ -122,7 +122,7 @@ def _standing(spec: mujoco.MjSpec, name: str, notes: list[str]) -> Robot:
     height = _STANDS * robot.leg_length
     feet = robot.hip_pos_b + np.outer(robot.lateral_offset, [0.0, 1.0, 0.0])
     feet[:, 2] = robot.hip_pos_b[:, 2].mean() - height
-    joints = np.clip(inverse_kinematics(robot, feet[None])[0][0], robot.joint_lower, robot.joint_upper)
+    joints = np.clip(inverse_kinematics(robot, feet)[0], robot.joint_lower, robot.joint_upper)
     bent = dict(zip(robot.joint_names, joints * robot.joint_sign, strict=True))
     base = robot.foot_radius - feet[:, 2].mean()
     spec.add_key(name="home", qpos=[0, 0, base, 1, 0, 0, 0, *(bent[joint.name] for joint in _hinges(spec))])

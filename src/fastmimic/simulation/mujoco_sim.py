@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
+from fastmimic.base.vectors import quat_turned
 from fastmimic.robot import Robot
 from fastmimic.robot.mjcf import warn_by_log
 from fastmimic.simulation.conditions import Disturbance, Disturbed, make_world
@@ -153,14 +154,10 @@ def _observe(qpos: Array, qvel: Array, sensors: Array, index: Any, out: Any) -> 
         for k in range(3):
             o.root_pos[k] = qpos[i, k]
             o.lin_vel[k] = qvel[i, k]
-        w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
-        o.root_quat[0], o.root_quat[1], o.root_quat[2], o.root_quat[3] = w, x, y, z
-        # the free joint's angular velocity is in the body frame: v + 2 w (u × v) + 2 u × (u × v)
-        a, b, c = qvel[i, 3], qvel[i, 4], qvel[i, 5]
-        t0, t1, t2 = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-        o.ang_vel[0] = a + w * t0 + y * t2 - z * t1
-        o.ang_vel[1] = b + w * t1 + z * t0 - x * t2
-        o.ang_vel[2] = c + w * t2 + x * t1 - y * t0
+        for k in range(4):
+            o.root_quat[k] = qpos[i, 3 + k]
+        spin = (qvel[i, 3], qvel[i, 4], qvel[i, 5])  # the free joint's angular velocity, in the body frame
+        o.ang_vel[0], o.ang_vel[1], o.ang_vel[2] = quat_turned(o.root_quat, spin)
         for j in range(12):
             o.joint_pos[j] = qpos[i, index[j]]
             o.joint_vel[j] = qvel[i, index[12 + j]]

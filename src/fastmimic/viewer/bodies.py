@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import mujoco
 import numpy as np
 
 from fastmimic.base.arrays import Array
@@ -11,7 +12,6 @@ from fastmimic.robot import Robot
 from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
-    import mujoco
     from trimesh import Trimesh
 
 Rgb = tuple[int, int, int]
@@ -41,8 +41,6 @@ class Puppet:
     """A robot and its ghost in any pose; `bodies` and `ghost_bodies` are in the order of `Placed`."""
 
     def __init__(self, robot: Robot) -> None:
-        import mujoco
-
         video_scene = build_video_scene(robot, ghost=True, width=64, height=64, floor=np.zeros((2, 2)))
         assert video_scene.ghost_qpos is not None
         self._model, self._data = video_scene.model, mujoco.MjData(video_scene.model)
@@ -57,8 +55,6 @@ class Puppet:
 
     def place(self, pose: Array, reference: Array | None = None) -> tuple[Placed, Placed | None]:
         """Places robot and ghost at a pose (19,) each: root position, quaternion, joints."""
-        import mujoco
-
         self._data.qpos[self._qpos[0]] = pose
         if reference is not None:
             self._data.qpos[self._qpos[1]] = reference
@@ -71,12 +67,12 @@ class Puppet:
         return robot, None if reference is None else ghost
 
 
-def _rgba(model: "mujoco.MjModel", geom: int) -> Array:
+def _rgba(model: mujoco.MjModel, geom: int) -> Array:
     material = model.geom_matid[geom]
     return np.asarray(model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom], dtype=np.float64)
 
 
-def _body(model: "mujoco.MjModel", body: int, *, ghost: bool) -> BodyMesh:
+def _body(model: mujoco.MjModel, body: int, *, ghost: bool) -> BodyMesh:
     """Merges a body's visible geoms colour by colour."""
     group = model.geom_group
     shown = group == GHOST_GROUP if ghost else (group <= _VISIBLE_GROUPS)
@@ -109,9 +105,8 @@ def ground_surface(terrain: Terrain) -> "Trimesh":
     return Trimesh(np.stack([x, y, terrain.height(x, y)], axis=-1).reshape(-1, 3), faces.reshape(-1, 3), process=False)
 
 
-def surface(model: "mujoco.MjModel", geom: int) -> "Trimesh | None":
+def surface(model: mujoco.MjModel, geom: int) -> "Trimesh | None":
     """A geom's surface in its own frame, m; None for kinds without one (planes, height fields)."""
-    import mujoco
     from trimesh import Trimesh, creation
     from trimesh.graph import smooth_shade
 

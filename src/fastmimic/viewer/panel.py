@@ -1,7 +1,7 @@
 """The controls: playback and layers; the charts: reward, gait strip and leg table."""
 
 import html
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,15 +11,12 @@ from fastmimic.base.arrays import Array, stretches
 from fastmimic.base.conventions import LEGS
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.figure_style import INK, LEG_LINES, MUTED
-from fastmimic.viewer.scene import LAYERS
+from fastmimic.viewer.scene import LAYERS, RobotScene
 from fastmimic.viewer.take import Take, contact_flags, friction_use
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import viser
 
-    from fastmimic.viewer.scene import RobotScene
     from fastmimic.viewer.viewer import Cameras, Player, Repeat, Viewer
 
 _SPEEDS: Final = {f"× {speed:g}": speed for speed in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0)}
@@ -130,7 +127,7 @@ class ViewerPanel(Panel):
         repeat.on_update(lambda _event: self._change(set_repeat))
         self._follow.on_update(lambda _event: self._change())
 
-    def _change(self, act: "Callable[[], None] | None" = None) -> None:
+    def _change(self, act: Callable[[], None] | None = None) -> None:
         """Changes the player between two pictures."""
         with self._lock:
             if act is not None:
@@ -151,7 +148,7 @@ class ViewerPanel(Panel):
 
 
 class _TakeCharts:
-    def __init__(self, gui: "viser.GuiApi", scene: "RobotScene", *, alone: bool) -> None:
+    def __init__(self, gui: "viser.GuiApi", scene: RobotScene, *, alone: bool) -> None:
         self._scene = scene
         self._status, self._strip = gui.add_html(""), gui.add_html("")
         self._plot: Any = None
@@ -179,7 +176,7 @@ def charts_window(gui: "viser.GuiApi", title: str) -> Any:
     return window.add_tab(title)
 
 
-def add_layer_boxes(gui: "viser.GuiApi", robots: "Sequence[RobotScene]", hidden: Sequence[str] = ()) -> None:
+def add_layer_boxes(gui: "viser.GuiApi", robots: Sequence[RobotScene], hidden: Sequence[str] = ()) -> None:
     """A check box for each layer of the first robot; the `hidden` ones are hidden at first."""
 
     def add(layer: str) -> None:

@@ -9,19 +9,16 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.files import packaged
+from fastmimic.render.tracks import Animal
 from fastmimic.render.video_scene import GHOST_RGBA, leg_rgba
 from fastmimic.robot import Robot
 from fastmimic.viewer import take as marks
-from fastmimic.viewer.bodies import Puppet, ground_surface
+from fastmimic.viewer.bodies import BodyMesh, Placed, Puppet, ground_surface
 from fastmimic.viewer.take import TRAIL_POINTS, Take
 
 if TYPE_CHECKING:
     import viser
     from trimesh import Trimesh
-
-    from fastmimic.render.tracks import Animal
-    from fastmimic.viewer.bodies import BodyMesh, Placed
-
 
 LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])
 """Names and labels."""
@@ -49,7 +46,7 @@ def animal_aside(robot: Robot) -> float:
 def line_up(
     server: "viser.ViserServer",
     takes: Sequence[Take],
-    animal: "Animal | None" = None,
+    animal: Animal | None = None,
     names: Sequence[str] | None = None,
 ) -> "list[RobotScene]":
     """Robots side by side, seen from the front the first on the left, the animal beside it. `takes` are each one's
@@ -76,7 +73,7 @@ class RobotScene:
         take: Take,
         aside: float = 0.0,
         ground: tuple[float, float] = WIDE_GROUND,
-        animal: "Animal | None" = None,
+        animal: Animal | None = None,
     ) -> None:
         self._server, self._robot, self._puppet, self._animal = server, take.robot, puppet, animal
         self.aside = aside
@@ -176,7 +173,7 @@ class RobotScene:
         return tuple(self._groups)
 
     def _add_bodies(
-        self, name: str, bodies: "tuple[BodyMesh, ...]", opacity: float | None
+        self, name: str, bodies: tuple[BodyMesh, ...], opacity: float | None
     ) -> list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]]:
         """A frame with meshes for each body; translucent ones have no shadow."""
         scene, found = self._server.scene, []
@@ -245,7 +242,7 @@ class RobotScene:
     def _lines(self, name: str, points: Array, colours: Any, pixels: float) -> "viser.LineSegmentsHandle":
         return self._server.scene.add_line_segments(name, points, colours, thickness=pixels, thickness_units="screen")
 
-    def _show_lines(self, row: int, placed: "Placed", ghost: "Placed | None") -> None:
+    def _show_lines(self, row: int, placed: Placed, ghost: Placed | None) -> None:
         take, nodes = self.take, self._nodes
         _set_lines(nodes["force"], marks.force_arrows(take, row, take.force))
         _set_lines(nodes["asked"], marks.force_arrows(take, row, take.asked))
@@ -275,7 +272,7 @@ def linear(rgb: NDArray[Any]) -> NDArray[np.uint8]:
     return np.round(255.0 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
-def _move(bodies: list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]], placed: "Placed") -> None:
+def _move(bodies: list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]], placed: Placed) -> None:
     for (frame, _), position, wxyz in zip(bodies, placed.position, placed.wxyz, strict=True):
         frame.position, frame.wxyz = position, wxyz
 
