@@ -109,6 +109,15 @@ def test_the_reference_of_a_switch_is_one_that_joints_can_follow(a1: Robot, libr
     assert fastest < 1.05  # a seam would show as a jump of the joints
 
 
+def test_a_push_by_hand_adds_to_those_of_a_disturbance(a1: Robot, library: MotionSet) -> None:
+    conditions = Conditions(disturbances=("push=0.01",))  # type: ignore[arg-type]
+    session = LiveSession(a1, library, start=IN_PLACE, conditions=conditions)
+    session.run(0.5)
+    session.push(3.0, math.pi / 2)
+    session.run(0.1)
+    assert session.snapshot().velocity_b[1] > 0.03
+
+
 def test_a_push_changes_the_velocity(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start=IN_PLACE)
     session.run(0.5)

@@ -41,7 +41,7 @@ class LiveWorld:
         model, self.trunk = simulation.model, simulation.trunk
         self._batch = simulation.batch
         self._step_s = simulation.substeps * float(model.opt.timestep)
-        self._applied = self._batch.bind("xfrc_applied")
+        self._applied, self._by_hand = self._batch.bind("xfrc_applied"), simulation.by_hand
         self._mass = self._batch.expand("body_mass")
         self._sliding = self._batch.expand("geom_friction")
         self._own_mass = float(model.body_mass[self.trunk])
@@ -65,7 +65,7 @@ class LiveWorld:
 
     def apply(self) -> None:
         """Applies the push; call before each control step."""
-        self._applied[0, self.trunk, :3] = self.force
+        self._applied[0, self.trunk, :3] = self._by_hand[0] = self.force
         self._push_steps = max(0, self._push_steps - 1)
 
     def set_friction(self, coefficient: float) -> None:

@@ -238,6 +238,7 @@ class MujocoSimulation(Disturbed):
             self.motors["top_speed"] = robot.joint_speed_limit * self.world["top-speed"][:, None]
         self._pushed = bool(self.world.at_each_step) or self.world.has("push", "side-push")
         self._forces = self.batch.bind("xfrc_applied") if self._pushed else np.zeros(0)
+        self.by_hand = np.zeros((n, 3))  # force on the trunk, world, N, besides the disturbances'
 
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`; the clocks of pushes and delay restart."""
@@ -274,7 +275,7 @@ class MujocoSimulation(Disturbed):
         """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         if self._pushed:
             self.push(self._qpos[:, 3:7])
-            self._forces[:, self.trunk, :3] = self.trunk_force
+            self._forces[:, self.trunk, :3] = self.trunk_force + self.by_hand
         if self._delay.delays:
             self._delay.send(commands, self._steps)
             for substep in range(self.substeps):
