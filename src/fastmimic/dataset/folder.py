@@ -211,10 +211,6 @@ class MotionDataset:
         digests = {robot.robot: robot.digest for robot in robots}
         return Membership(recipe, digests, pieces, (*unreadable, *sources), not sources, problems)
 
-    def record_ids(self) -> set[str]:
-        """Ids of all existing records, whether they belong to it or not."""
-        return {path.stem for path in (self.path / RECORDS).glob("*.json")}
-
     def holds(self, recipe: str) -> bool:
         """Whether it has no records, or one of the recipe with that digest."""
         paths = list((self.path / RECORDS).glob("*.json"))
