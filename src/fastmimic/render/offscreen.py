@@ -14,6 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
+import matplotlib
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -177,8 +178,6 @@ def _blend(frame: NDArray[np.uint8], plate: Image.Image, top: int, left: int) ->
 @lru_cache(maxsize=16)
 def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu Sans from matplotlib: the same on every machine."""
-    import matplotlib
-
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
 
