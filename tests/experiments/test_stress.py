@@ -28,7 +28,7 @@ from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.report.experiment_figures import stress_figure
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, known
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES
+from fastmimic.simulation.disturbance_kinds import DISTURBANCES, DisturbanceKind
 from fastmimic.simulation.terrain import TERRAINS
 from searches import QUICK_CHOICE
 
@@ -106,6 +106,31 @@ class TestSweep:
     def test_an_episode_must_last_beyond_the_push(self, subject: Subject, robot: Robot) -> None:
         with pytest.raises(ConfigError, match=r"0.6 s ends before the push at 2 s; leave out 'push', or give a longer"):
             sweep(subject, "push", robot, SETTINGS)
+
+
+class TestRegistered:
+    """A user's own disturbance."""
+
+    @staticmethod
+    def add(monkeypatch: pytest.MonkeyPatch, **about: Any) -> None:
+        kind = DisturbanceKind("gusts", each_step=lambda simulation, values, time_s: None, **about)
+        monkeypatch.setitem(DISTURBANCES, "gusts", kind)
+
+    def test_the_nominal_level_is_swept_if_it_is_left_out(
+        self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        self.add(monkeypatch, levels=(2.0, 1.0))
+        rows = sweep(subject, "gusts", robot, SETTINGS)
+        assert [row["value"] for row in rows] == [0.0, 1.0, 2.0]
+        (found,) = tolerances(rows)
+        assert (found.lower, found.upper) == (0.0, 2.0)
+
+    def test_one_without_levels_is_refused_and_no_default(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.add(monkeypatch)
+        with pytest.raises(ConfigError, match="'gusts' has no levels to sweep; register it with levels"):
+            disturbances_of(["gusts"], "mujoco")
+        assert "gusts" not in disturbances_of(None, "mujoco")
+        assert "friction" in disturbances_of(None, "mujoco")
 
 
 class TestTolerance:

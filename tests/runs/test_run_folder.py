@@ -147,7 +147,7 @@ def test_the_video_says_what_it_shows(
     history = object() if searched else None
     result = replace(result, motion=stands_for, method=method, history=history)  # type: ignore[arg-type]
     shown: list[Track] = []
-    monkeypatch.setattr("fastmimic.render.video.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
+    monkeypatch.setattr("fastmimic.report.figures.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
     write_video(result, RunFolder(tmp_path), clip=open_clip("trot"))
     animal, without, with_it = shown
     assert isinstance(animal, AnimalTrack)

@@ -35,7 +35,6 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.experiments.compare import ComparisonPlan, Prepared, ReportProgress
     from fastmimic.experiments.comparison_run import ComparisonFolder, Row
     from fastmimic.experiments.experiment import Subject
-    from fastmimic.experiments.stress import StressSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,8 +280,8 @@ class Stress(ExperimentOptions):
 
     def run(self) -> int:
         opt.check_duration(self.duration)
-        from fastmimic.experiments.experiment import check_methods
-        from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of
+        from fastmimic.experiments.experiment import check_methods, finish_part, part_file
+        from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of, sweep
         from fastmimic.report.experiment_figures import STRESS_FILES, write_stress
 
         check_methods(self.methods, self.policy is not None)
@@ -295,24 +294,14 @@ class Stress(ExperimentOptions):
         folder = self.opened("stress", SWEEPS, STRESS_FILES, {"motion": motion.name, **asdict(settings)})
         planned = [(method, name) for method in self.methods for name in names]
         with self.writing(folder, lambda: write_stress(folder, settings, planned)):
-            for k, method in enumerate(self.methods):
+            for i, method in enumerate(self.methods):
                 subject = self.subject(method, motion, robot, policy)
-                self._sweeps(subject, names, robot, settings, k * len(names), len(planned))
+                with share_progress("sweeps") as tell, slow_start(f"{method}: first sweep; {FIRST_USE}"):
+                    for k, name in enumerate(names, i * len(names) + 1):
+                        path = part_file(self.out / SWEEPS, method, name)
+                        finish_part(path, subject.digest, partial(sweep, subject, name, robot, settings))
+                        tell(k / len(planned), f"{method}, {name}", f"{k}/{len(planned)} {method}, {name}")
         return 0
-
-    def _sweeps(
-        self, subject: "Subject", names: Sequence[str], robot: Robot, settings: "StressSettings", done: int, total: int
-    ) -> None:
-        """Runs the sweeps of one method that are not finished yet."""
-        from fastmimic.experiments.experiment import finish_part, part_file
-        from fastmimic.experiments.stress import SWEEPS, sweep
-
-        with share_progress("sweeps") as tell, slow_start(f"{subject.method.name}: first sweep; {FIRST_USE}"):
-            for k, name in enumerate(names, done + 1):
-                path = part_file(self.out / SWEEPS, subject.method.name, name)
-                finish_part(path, subject.digest, partial(sweep, subject, name, robot, settings))
-                text = f"{subject.method.name}, {name}"
-                tell(k / total, text, f"{k}/{total} {text}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -122,9 +122,12 @@ class Build:
             sources += find_sources(place, exclude=self.exclude, licence=self.licence, credit=self.credit)
         if self.frames is not None:
             sources = [replace(source, frames=parse_frames(self.frames, "--frames")) for source in sources]
-        second = not self.no_second_simulator and _second_simulator(self.robots)
+        second = SIMULATORS[SECOND_SIMULATOR]
+        if not (self.no_second_simulator or second.installed) and any(map(second.knows, self.robots)):
+            note(f"{second.name} is not installed: motions are not tested in a second simulator")
+        tried = not self.no_second_simulator and second.installed
         lengths = {"duration_s": self.duration, "evaluation_s": self.trial}
-        recipe = opt.apply(BuildSettings, self, self.search, second_simulator=second, **lengths)
+        recipe = opt.apply(BuildSettings, self, self.search, second_simulator=tried, **lengths)
         warm = None if self.warm_start is None else MotionDataset.open(self.warm_start)
         folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
         cut: Cut = "whole" if self.whole else "segments" if self.discrete else "cycles"
@@ -318,14 +321,6 @@ class Libraries:
         return self.action.run()
 
 
-def _second_simulator(robots: Sequence[str]) -> bool:
-    """Whether the second simulator is installed; prints a note if it is missing and knows one of the robots."""
-    second = SIMULATORS[SECOND_SIMULATOR]
-    if not second.installed and any(map(second.knows, robots)):
-        note(f"{second.name} is not installed: motions are not tested in a second simulator")
-    return second.installed
-
-
 @contextmanager
 def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     """Prints what is built, each finished motion and failure, and how to continue; on a terminal also a bar."""
@@ -361,7 +356,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
 
 def put_summary(library: "MotionDataset") -> None:
     """Prints the number of records by grade, by version if there are several, and those outside the index."""
-    from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
+    from fastmimic.dataset.index import FAILURE, GRADES, RECORDS, REJECTED
 
     rows = library.index(("id", "grade", "fastmimic_version"))
     counted = Counter(row["grade"] for row in rows)
@@ -371,7 +366,8 @@ def put_summary(library: "MotionDataset") -> None:
     if len(versions) > 1:
         made = ", ".join(f"{count} by {version}" for version, count in sorted(versions.items()))
         put(f"made by several versions of FastMimic ({made}): 'verify --rerun' checks whether the figures still hold")
-    others = library.record_ids().difference(row["id"] for row in rows)
+    records = {path.stem for path in (library.path / RECORDS).glob("*.json")}
+    others = records.difference(row["id"] for row in rows)
     if others:
         put(f"{len(others)} more records are not in the index: 'list --superseded' lists the reasons")
 

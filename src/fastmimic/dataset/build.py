@@ -13,10 +13,9 @@ from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.base.files import remove_file, write_text
 from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
-from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row
+from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row, working
 from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
-from fastmimic.dataset.lock import BUILDING, working
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
 
@@ -125,7 +124,7 @@ def build_dataset(
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
     neighbours = None if building.warm is None else Neighbours.of(building.warm)
     tell = progress if progress is not None else lambda step: None
-    with working(library.path, BUILDING):
+    with working(library.path, alone=False):
         return _Builder(building, library, executor, tell).build(robots, neighbours, update=update, began=began)
 
 

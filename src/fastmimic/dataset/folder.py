@@ -7,14 +7,16 @@
     sources/KEY.json        survey of a source
     robots/KEY.json         digest of a robot's description
     work/                   checkpoints; without them, jobs cannot resume
+    .lock                   locked by who builds or mends there now
 
 Files are named by content and written atomically, so that any number of builders may share a folder, and the next one
 repeats the work of a killed one. Every builder ends by making the index from the records, which hold all its data.
 """
 
 import json
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -23,8 +25,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import msgspec
 
 from fastmimic.base.arrays import fingerprint
-from fastmimic.base.errors import ConfigError, LibraryError, did_you_mean
-from fastmimic.base.files import from_json, replace_file, write_text
+from fastmimic.base.errors import ConfigError, LibraryError, OutputError, did_you_mean
+from fastmimic.base.files import check_folder, from_json, replace_file, write_text
 from fastmimic.base.text import csv_text
 from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey
@@ -36,6 +38,7 @@ from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.parameters import FinalChoice, SearchSettings
 from fastmimic.optimize.problem import Objective
 from fastmimic.robot import load_robot
+from fastmimic.runs.work_folder import lock
 from fastmimic.simulation.conditions import other_ranges
 
 if TYPE_CHECKING:
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
 SETTINGS: Final = "library.json"
 INDEX: Final = "index.parquet"
 ROBOTS: Final = "robots"
+LOCK: Final = ".lock"
 FORMAT_VERSION: Final = 1
 
 LISTED: Final = "motions.csv"
@@ -207,10 +211,6 @@ class MotionDataset:
         digests = {robot.robot: robot.digest for robot in robots}
         return Membership(recipe, digests, pieces, (*unreadable, *sources), not sources, problems)
 
-    def record_ids(self) -> set[str]:
-        """Ids of all existing records, whether they belong to it or not."""
-        return {path.stem for path in (self.path / RECORDS).glob("*.json")}
-
     def holds(self, recipe: str) -> bool:
         """Whether it has no records, or one of the recipe with that digest."""
         paths = list((self.path / RECORDS).glob("*.json"))
@@ -281,6 +281,27 @@ class MotionDataset:
             with suppress(FileNotFoundError):
                 found.add((path.name, path.stat().st_mtime_ns))
         return found
+
+
+@contextmanager
+def working(folder: Path, *, alone: bool) -> Iterator[None]:
+    """Keeps repairs out of a library while it is built, by any number of builders, or all others out during a repair,
+    which works `alone`. Raises `LibraryError` if those work there, `OutputError` if the folder cannot be written to."""
+    check_folder(folder)
+    try:
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)  # network file systems lock files, not folders
+    except OSError as error:
+        raise OutputError(f"{folder / LOCK}: cannot be written ({error.strerror or error})") from None
+    try:
+        if not lock(handle, shared=not alone):
+            if alone and lock(handle, shared=True):
+                raise LibraryError(
+                    f"{folder}: is being built now, and would lose what that has begun; mend it when that has ended"
+                )
+            raise LibraryError(f"{folder}: is being mended now; try again when that has ended")
+        yield
+    finally:
+        os.close(handle)
 
 
 @dataclass(frozen=True)

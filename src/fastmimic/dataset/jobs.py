@@ -28,7 +28,7 @@ from fastmimic.dataset.index import DONE, FAILED, MOTIONS, Record, empty, load_r
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics
-from fastmimic.episode.plan import nominal_start, perturbed_start
+from fastmimic.episode.plan import Start, nominal_start, perturbed_start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
 from fastmimic.experiments.measurement import measure, named_values, searched
@@ -209,21 +209,20 @@ def _tried(job: Job, result: Imitation) -> Record:
         "limits_exceeded": "; ".join(reason.text for reason in exceeded) or None,
     }
 
-    def elsewhere(conditions: Conditions, episodes: int, perturbed: bool) -> Rollout:
-        start = nominal_start(episodes)
-        if perturbed:
-            start = perturbed_start(episodes + 1, 1, np.random.default_rng(_TRIALS_SEED)).part(slice(1, None))
+    def elsewhere(conditions: Conditions, start: Start) -> Rollout:
         return run_episodes(
             robot, result.motion, start=start, duration_s=measured.seconds, config=result.config, conditions=conditions
         )
 
     if recipe.others:
         others = Conditions(disturbances=other_robots(recipe.others))
-        rollout = elsewhere(others, recipe.others, perturbed=False)
+        rollout = elsewhere(others, nominal_start(recipe.others))
         simulated_s += measured.seconds * recipe.others
         figures |= Metrics.of(rollout).named(("reward_mean", "reward_worst", "fell"), "robots")
     if recipe.second_simulator and SIMULATORS[SECOND_SIMULATOR].knows(job.robot):
-        rollout = elsewhere(Conditions(SECOND_SIMULATOR), _SECOND_SIMULATOR_EPISODES, perturbed=True)
+        random = np.random.default_rng(_TRIALS_SEED)
+        start = perturbed_start(_SECOND_SIMULATOR_EPISODES + 1, 1, random).part(slice(1, None))
+        rollout = elsewhere(Conditions(SECOND_SIMULATOR), start)
         simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
         figures |= Metrics.of(rollout).named(("reward_mean", "fell"), "second_simulator")
     return figures | {"simulated_s": simulated_s}

@@ -9,9 +9,8 @@ from fastmimic.base.errors import LibraryError, MotionError, RobotError
 from fastmimic.base.files import remove_file
 from fastmimic.control.config import controller_config
 from fastmimic.dataset.excerpts import SOURCES, reason_of
-from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset
+from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset, working
 from fastmimic.dataset.index import MOTIONS, RECORDS, damage
-from fastmimic.dataset.lock import MENDING, working
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration
 from fastmimic.imitation.methods import method_named
@@ -107,7 +106,7 @@ def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = N
     its files do not have records yet, and `OutputError` if a file cannot be removed.
     """
     removed = 0
-    with working(library.path, MENDING):
+    with working(library.path, alone=True):
         health = check(library, progress)
         for name in sorted({*health.useless, *health.foreign}):
             removed += remove_file(library.path / name)

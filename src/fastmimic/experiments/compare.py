@@ -19,8 +19,9 @@ from fastmimic.control.config import controller_config
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
-from fastmimic.experiments.comparison_run import POLICY, RUNS, ComparisonSettings, Row, Run, RunTask, finished_row
+from fastmimic.experiments.comparison_run import RUNS, ComparisonSettings, Row, Run, RunTask, finished_row
 from fastmimic.imitation.methods import PAPER_METHODS, RL, method_named
+from fastmimic.learning.policy import POLICY_FILE, Policy, policy_for
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
 from fastmimic.optimize.problem import Objective
@@ -143,8 +144,6 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
     finished runs in the folder count; otherwise they are about to be replaced. Calls `prepared` with the name of each
     retargeted motion. Raises `FastMimicError` for a missing robot or motion, or if the folder holds a finished run of
     other content."""
-    from fastmimic.learning.policy import policy_for
-
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
     policies = {
@@ -160,7 +159,7 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
         if path not in known:
             known[path] = Motion.load(path)
         if run.method == RL and run not in policies:
-            policies[run] = policy_for(out / RUNS / run.folder / POLICY, robot, known[path])
+            policies[run] = policy_for(out / RUNS / run.folder / POLICY_FILE, robot, known[path])
         if row.get("digest") != compared.digest(run, plan.settings, robot, known[path], policies.get(run)):
             raise OutputError(
                 f"{out / RUNS / run.folder}: a finished run of another {'policy' if run in policies else 'controller'},"
@@ -179,11 +178,9 @@ def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> dict[Run,
     policy files, and folders to search at any depth, in which policies for other motions are ignored. Raises
     `PolicyError` for a file without a policy, `ConfigError` for a motion without a policy, a file for another motion,
     or two policies for one motion and seed."""
-    from fastmimic.learning.policy import Policy
-
     files: dict[Path, bool] = {}  # whether the caller named it
     for place in places:
-        files.update(dict.fromkeys(sorted(place.rglob(POLICY)), False) if place.is_dir() else {place: True})
+        files.update(dict.fromkeys(sorted(place.rglob(POLICY_FILE)), False) if place.is_dir() else {place: True})
     names = {_own_name(motion): motion for motion in motions}
     found: dict[Run, Path] = {}
     for file, named in files.items():

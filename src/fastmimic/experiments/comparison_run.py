@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -32,6 +32,7 @@ from fastmimic.experiments.ablations import ABLATIONS, ablation_named
 from fastmimic.experiments.measurement import EVALUATION_S, PERTURBED_EPISODES, Row
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import METHODS, method_named
+from fastmimic.learning.policy import POLICY_FILE, Policy, controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import MOST_ITERATIONS, Progress
 from fastmimic.optimize.parameters import FinalChoice, SearchSettings
@@ -39,14 +40,10 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CHECKPOINT, ENVIRONMENT, MOTION, MOTIONS, RESULTS_CSV, TABLE, WorkFolder, created
 
-if TYPE_CHECKING:
-    from fastmimic.learning.policy import Policy
-
 Kind = TypeVar("Kind")
 ROW: Final = "row.json"
 TRACKING: Final = "tracking.npz"
-POLICY: Final = "policy.npz"
-RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT, POLICY)
+RUN_FILES: Final = (ROW, MOTION, TRACKING, CHECKPOINT, POLICY_FILE)
 RUNS: Final = "runs"
 COMPARISON: Final = "comparison.png"
 TRACKING_FIGURE: Final = "tracking.png"
@@ -137,7 +134,7 @@ def controller_of(run: Run, settings: ComparisonSettings) -> ControllerConfig:
 
 
 def digest(
-    run: Run, settings: ComparisonSettings, robot: Robot, demonstration: Motion, policy: "Policy | None" = None
+    run: Run, settings: ComparisonSettings, robot: Robot, demonstration: Motion, policy: Policy | None = None
 ) -> str:
     """16 hexadecimal digits of everything that determines a run but the seed; `policy` is that of a learned method."""
     arrays = (getattr(demonstration, name) for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"))
@@ -166,8 +163,6 @@ def perform(task: RunTask, report: Report) -> Row:
     run, settings, folder = task.run, task.settings, task.folder
     robot, policy, controller = load_robot(settings.robot), None, None
     if task.policy is not None:
-        from fastmimic.learning.policy import Policy, controlled_by  # imports Gymnasium, which other runs do not need
-
         policy = Policy.load(task.policy)
         controller = controlled_by(policy)
     demonstration = Motion.load(task.demonstration)
@@ -205,7 +200,7 @@ def perform(task: RunTask, report: Report) -> Row:
     }
     if policy is not None:
         row |= _with_training(row, policy)
-        policy.save(folder / POLICY)
+        policy.save(folder / POLICY_FILE)
     if method_named(run.method).optimises:
         result.motion.save(folder / MOTION)
     write_text(folder / ROW, json.dumps(row, indent=1, allow_nan=False))
@@ -236,7 +231,7 @@ def run_of(row: Row) -> Run:
     return msgspec.convert(row, Run, strict=False)
 
 
-def _with_training(row: Row, policy: "Policy") -> Row:
+def _with_training(row: Row, policy: Policy) -> Row:
     """Adds the cost of the policy's training, if recorded, and the policy's digest as parameters."""
     training = policy.training
     costs = {name: (row[name], training.get(name)) for name in ("wall_s", "cpu_s", "simulated_s")}

@@ -76,12 +76,14 @@ class Tolerance:
 
 
 def disturbances_of(names: Sequence[str] | None, simulator: str, observe: str = "truth") -> list[str]:
-    """The given disturbances and terrains, or all that matter in the simulator with this observation; raises
-    `ConfigError` for an unknown or repeated one."""
+    """The given disturbances and terrains, or all with levels that matter in the simulator with this observation;
+    raises `ConfigError` for an unknown or repeated one, or one without levels."""
     if names is None:
         felt = [name for name in known(simulator) if observe == "sensors" or not DISTURBANCES[name].sensed]
-        return [*felt, *known(simulator, TERRAINS)]
+        return [name for name in (*felt, *known(simulator, TERRAINS)) if swept(name).levels]
     for name in names:
+        if not swept(name).levels:
+            raise ConfigError(f"disturbance '{name}' has no levels to sweep; register it with levels, or with bounds")
         at_level(name, swept(name).nominal).check_realized(simulator)
         check_felt(swept(name), observe)
     check_unique("disturbance", names)

@@ -85,15 +85,13 @@ def trial_starts(trials: int, seed: int) -> Start:
     return Start(start.sample, start.joint_offset, start.velocity_offset)
 
 
-def run_trials(
-    subject: Subject, robot: Robot, settings: TransferSettings, stages: Sequence[TransferStage] = STAGES
-) -> list[Row]:
-    """Trials of one method on one motion in some stages, from the same starts: `COLUMNS`. Raises `FastMimicError`."""
+def run_trials(subject: Subject, robot: Robot, settings: TransferSettings) -> list[Row]:
+    """Trials of one method on one motion in all stages, from the same starts: `COLUMNS`. Raises `FastMimicError`."""
     motion = subject.motion
     rows: list[Row] = []
     seconds = episode_duration(motion, settings.duration_s)
     start = trial_starts(settings.trials, settings.seed)
-    for stage in (*stages, IDENTIFIED) if settings.identify else stages:
+    for stage in (*STAGES, IDENTIFIED) if settings.identify else STAGES:
         config = identified_config(subject, robot, settings) if stage is IDENTIFIED else subject.config
         rollout = subject.run(robot, seconds, start, stage.conditions(settings.seed), config=config)
         rows += [

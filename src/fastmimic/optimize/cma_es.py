@@ -174,7 +174,7 @@ class _Search:
         try:
             while len(self.scores) < self.limit and not self._settled():
                 u = np.array(self.strategy.ask())
-                self._tell(u, self.problem.evaluate(self._physical(u)))
+                self._tell(u, self.problem.evaluate(self.lower + self.span * u))
                 elapsed = time.perf_counter() - began
                 done = len(self.scores)
                 if done % self.settings.checkpoint_every == 0:
@@ -221,9 +221,6 @@ class _Search:
         count, least = _SETTLED
         best = [float(scores.max()) for scores in self.scores[-count:]]
         return self.settings.iterations is None and len(best) == count and max(best) - min(best) < least
-
-    def _physical(self, u: Array) -> Array:
-        return self.lower + self.span * u
 
     def _tell(self, u: Array, scores: Array) -> None:
         self.strategy.tell(list(u), list(-scores))
@@ -280,7 +277,7 @@ class _Search:
         flat, u = np.array(self.scores).ravel(), np.array(self.candidates).reshape(-1, len(self.lower))
         best = np.argsort(-flat, kind="stable")[: self.choice.candidates]
         best = best[flat[best] >= baseline]
-        return self._physical(u[best]), flat[best]
+        return self.lower + self.span * u[best], flat[best]
 
 
 def _pycma() -> Any:

@@ -12,14 +12,13 @@ import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import matplotlib
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    import mujoco
-    from PIL import Image, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 _LOG = logging.getLogger(__name__)
 _OFF: Final = ("disable", "disabled", "off", "false", "0")
@@ -58,15 +57,13 @@ def in_any_thread() -> bool:
 class Offscreen:
     """An OpenGL context with a framebuffer of the model's size; raises `NoRendererError` with the backends tried."""
 
-    def __init__(self, model: "mujoco.MjModel") -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         self.width = int(model.vis.global_.offwidth)
         self.height = int(model.vis.global_.offheight)
         self._gl, self._context = _open(model, self.width, self.height)
 
-    def draw(self, scenes: "Sequence[mujoco.MjvScene]", columns: int) -> NDArray[np.uint8]:
+    def draw(self, scenes: Sequence[mujoco.MjvScene], columns: int) -> NDArray[np.uint8]:
         """The scenes in a grid of so many columns, row by row: (height, width, 3), first row on top."""
-        import mujoco
-
         self._gl.make_current()
         cells = grid_cells(len(scenes), self.width, self.height, columns)
         for i, (left, top, right, bottom) in enumerate(cells):
@@ -94,9 +91,8 @@ def grid_cells(count: int, width: int, height: int, columns: int) -> list[tuple[
     return [(x[j], y[i], x[j + 1], y[i + 1]) for i in range(rows) for j in range(columns)]
 
 
-def _open(model: "mujoco.MjModel", width: int, height: int) -> tuple[Any, Any]:
+def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, Any]:
     """The first backend that works, and MuJoCo's context on it."""
-    import mujoco
     from OpenGL.error import Error as OpenGLError  # type: ignore[import-untyped]
 
     failures = []
@@ -171,10 +167,8 @@ def _unit(width: int, height: int, cell_height: int) -> float:
     return min(max(float(np.sqrt(width * height)) / 960, 0.6), max(cell_height / 330, 0.45))
 
 
-def _blend(frame: NDArray[np.uint8], plate: "Image.Image", top: int, left: int) -> None:
+def _blend(frame: NDArray[np.uint8], plate: Image.Image, top: int, left: int) -> None:
     """Draws a small RGBA picture onto a frame (height, width, 3) in place, cut off at its edges."""
-    from PIL import Image
-
     place = frame[top : top + plate.height, left : left + plate.width]
     under = Image.fromarray(place)
     under.paste(plate, mask=plate)
@@ -182,23 +176,20 @@ def _blend(frame: NDArray[np.uint8], plate: "Image.Image", top: int, left: int) 
 
 
 @lru_cache(maxsize=16)
-def _font(size: int, bold: bool = False) -> "ImageFont.FreeTypeFont":
+def _font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """DejaVu Sans from matplotlib: the same on every machine."""
-    import matplotlib
-    from PIL import ImageFont
-
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
 
 
-def _fit(text: str, size: int, bold: bool, width: int) -> "ImageFont.FreeTypeFont":
+def _fit(text: str, size: int, bold: bool, width: int) -> ImageFont.FreeTypeFont:
     """The font in the largest size up to `size` in which `text` is at most `width` pixels wide."""
     while size > 8 and _font(size, bold).getlength(text) > width:
         size -= 1
     return _font(size, bold)
 
 
-def _text_plate(title: str, caption: str, unit: float, width: int) -> "Image.Image | None":
+def _text_plate(title: str, caption: str, unit: float, width: int) -> Image.Image | None:
     pad = round(12 * unit)
     lines = [
         (text, _fit(text, round(size * unit), bold, width - 2 * pad), color)
@@ -209,19 +200,17 @@ def _text_plate(title: str, caption: str, unit: float, width: int) -> "Image.Ima
 
 
 @lru_cache(maxsize=4)
-def _clock_plate(text: str, unit: float) -> "Image.Image":
+def _clock_plate(text: str, unit: float) -> Image.Image:
     return _plate([(text, _font(round(18 * unit)), _WHITE)], round(8 * unit), unit)
 
 
 def _plate(
-    lines: Sequence[tuple[str, "ImageFont.FreeTypeFont", tuple[int, int, int, int]]],
+    lines: Sequence[tuple[str, ImageFont.FreeTypeFont, tuple[int, int, int, int]]],
     pad: int,
     unit: float,
     sample: tuple[float, float, float] | None = None,
-) -> "Image.Image":
+) -> Image.Image:
     """A dark rounded plate with lines of text, and at their left a sample of a colour."""
-    from PIL import Image, ImageDraw
-
     gap, side = round(5 * unit), round(16 * unit)
     left = 0 if sample is None else side + pad
     heights = [sum(font.getmetrics()) for _, font, _ in lines]

@@ -12,6 +12,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
@@ -218,8 +219,6 @@ def _panels(
 
 def _low_pass(path: Array, width: float) -> Array:
     """Gaussian smoothing of (n, 3) without lag, `width` in samples; the ends continue in a straight line."""
-    from scipy.ndimage import gaussian_filter1d
-
     reach = max(1, int(3 * width))
     extended = np.pad(path, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
     return np.asarray(gaussian_filter1d(extended, width, axis=0, radius=reach)[reach:-reach])

@@ -30,8 +30,10 @@ from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import History
 from fastmimic.render import figure_style as style
+from fastmimic.render.animal import AnimalTrack
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, LEG_LINES, LIMIT, MUTED, STANCE
 from fastmimic.render.tracks import Track, rollout_track
+from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
 
@@ -192,8 +194,6 @@ def render_run(
 ) -> bool:
     """Writes a video of the animal of `clip`, the robot with its motion as it is, and with the result; returns whether
     anything can draw. Arguments, errors as `render_video`."""
-    from fastmimic.render.video import render_video
-
     tracks = _tracks(result, clip)
     info = render_video(
         result.robot,
@@ -210,7 +210,6 @@ def render_run(
 
 def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
     """The animal, the robot without the method, and with it; what there is of them."""
-    from fastmimic.render.animal import AnimalTrack
 
     def track(rollout: Rollout, title: str, method: str) -> Track:
         loaded = result.config.release_force(result.robot)

@@ -9,7 +9,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json
 from fastmimic.deploy.log import LOG
 from fastmimic.deploy.log import RESULT as DEPLOYMENT
-from fastmimic.experiments.comparison_run import POLICY
+from fastmimic.learning.policy import POLICY_FILE
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
 
 if TYPE_CHECKING:
@@ -31,9 +31,10 @@ def kind_of(folder: str | Path) -> str:
         return "results" if "experiment" in read_json(path / ENVIRONMENT) else "comparison"
     if not path.is_dir():
         raise ConfigError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; give the folder of a run")
-    if (path / POLICY).is_file():
+    if (path / POLICY_FILE).is_file():
         raise ConfigError(
-            f"{path}: a policy of 'train' has no report; 'fastmimic evaluate MOTION --policy {path / POLICY}' scores it"
+            f"{path}: a policy of 'train' has no report; 'fastmimic evaluate MOTION --policy {path / POLICY_FILE}'"
+            " scores it"
         )
     if (path / CONFIG).is_file():
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")

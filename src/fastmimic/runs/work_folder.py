@@ -199,7 +199,10 @@ def created(path: Path) -> Iterator[None]:
     """Makes a folder with its parents, for this process alone; if that fails, removes empty ones; or `OutputError`."""
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     check_folder(path)
-    handle = _locked(path)
+    handle = os.open(path, os.O_RDONLY)
+    if not lock(handle):
+        os.close(handle)
+        raise OutputError(f"{path}: another process works in it; wait until it ends, or choose another --out")
     try:
         yield
     except BaseException:
@@ -221,17 +224,15 @@ def of_finished(path: Path) -> Iterator[None]:
         raise OutputError(f"{path}: a finished part {said}; remove it, and --resume makes it anew") from error
 
 
-def _locked(path: Path) -> int:
-    """Opens and locks a folder against other processes. The lock is the system's: it leaves no file behind, and ends
-    with the process, even a killed one. Raises `OutputError` if another process has it."""
+def lock(handle: int, *, shared: bool = False) -> bool:
+    """Locks an open file or folder against other processes, or against those that do not share it; returns whether no
+    other has it. The lock is the system's: it ends with the process, even a killed one."""
     import fcntl
 
-    handle = os.open(path, os.O_RDONLY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:
-        os.close(handle)
-        raise OutputError(f"{path}: another process works in it; wait until it ends, or choose another --out") from None
+        return False
     except OSError:  # a file system without locks
         pass
-    return handle
+    return True

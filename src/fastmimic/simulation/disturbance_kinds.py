@@ -42,7 +42,7 @@ class DisturbanceKind:
     upper: float = math.inf
     about: str = ""
     nominal: float = 0.0  # the value that disturbs nothing
-    levels: tuple[float, ...] = ()  # what `fastmimic stress` runs; empty for five from lower to upper
+    levels: tuple[float, ...] = ()  # what `fastmimic stress` runs, and nominal; empty for five from lower to upper
     usual: tuple[float, float] | None = None
     differs: bool = False  # whether it never matches a robot's model
     per_robot: bool = True  # whether each robot of a batch may have its own value
@@ -52,9 +52,11 @@ class DisturbanceKind:
     each_step: EachStep | None = None  # the same function for every simulator
 
     def __post_init__(self) -> None:
-        if not self.levels and math.isfinite(self.upper - self.lower):
-            levels = {self.nominal, *np.linspace(self.lower, self.upper, 5).tolist()}
-            object.__setattr__(self, "levels", tuple(sorted(levels)))
+        levels = self.levels
+        if not levels and math.isfinite(self.upper - self.lower):
+            levels = tuple(np.linspace(self.lower, self.upper, 5).tolist())
+        if levels:
+            object.__setattr__(self, "levels", tuple(sorted({self.nominal, *levels})))
 
     def realized_in(self, simulator: str) -> bool:
         everywhere = self.sensed or self.each_step is not None
