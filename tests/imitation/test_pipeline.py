@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,6 +52,21 @@ class TestImitate:
         assert again.rollout.reward[0] == imitation.after.reward[0]
         alone = evaluate(motion, robot, duration_s=DURATION)
         assert alone.rollout.reward[0] == imitation.before.reward[0]
+
+    @pytest.mark.parametrize(("watched", "given"), [(True, False), (False, False), (True, True)])
+    def test_who_waits_sees_progress(
+        self,
+        watched: bool,
+        given: bool,
+        motion: Motion,
+        robot: Robot,
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        monkeypatch.setattr("fastmimic.imitation.imitate.is_watched", lambda: watched)
+        own: dict[str, Any] = {"progress": lambda step: None} if given else {}
+        imitate(motion, robot, **QUICK, **own)
+        assert ("iteration 2/2" in capsys.readouterr().err) == (watched and not given)
 
     def test_an_optimised_motion_is_optimised_anew_against_its_demonstration(
         self, imitation: Imitation, motion: Motion, robot: Robot

@@ -17,8 +17,9 @@ from tyro.conf import OmitArgPrefixes, Positional
 from fastmimic.base.errors import ConfigError, DriverError, OutputError, unknown
 from fastmimic.base.files import write_json
 from fastmimic.base.machine import versions
+from fastmimic.base.progress import note, slow_start
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import EXIT_INTERRUPTED, note, on_signal, put, put_json, put_table, slow_start
+from fastmimic.commands.console import EXIT_INTERRUPTED, on_signal, put, put_json, put_table
 from fastmimic.commands.show import is_whole
 from fastmimic.deploy.computer import LoopClock, StopSwitch, VirtualClock
 from fastmimic.deploy.dds.cyclone import check_interface

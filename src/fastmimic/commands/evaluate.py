@@ -8,9 +8,10 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, LogError, naming
+from fastmimic.base.progress import note, slow_start
 from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import note, put, put_json, put_table, slow_start
+from fastmimic.commands.console import put, put_json, put_table
 from fastmimic.commands.show import check_truth, figure_rows, open_log, provenance, yes_no
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log

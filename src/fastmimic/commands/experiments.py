@@ -17,8 +17,9 @@ from tyro.conf import Positional, Suppress
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import check_folder, write_json
 from fastmimic.base.machine import available_cores, versions
+from fastmimic.base.progress import FIRST_USE, note, share_progress, slow_start
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import FIRST_USE, KEPT, note, optimisation_progress, put, share_progress, slow_start
+from fastmimic.commands.console import KEPT, put
 from fastmimic.control.config import controller_config
 from fastmimic.executors import check_workers
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
@@ -229,7 +230,7 @@ class ExperimentOptions:
     ) -> "Subject":
         """The method with its motion, optimised first if the method does that."""
         from fastmimic.experiments.experiment import make_subject
-        from fastmimic.optimize.cma_es import CmaSettings
+        from fastmimic.optimize.cma_es import CmaSettings, optimisation_progress
 
         search = CmaSettings(self.search.iterations, self.search.population, self.seed, choice=self.choice)
         folder, config = self.out / MOTIONS, self.config

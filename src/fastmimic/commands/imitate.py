@@ -12,8 +12,9 @@ from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import versions
+from fastmimic.base.progress import note
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import note, optimisation_progress, put_table
+from fastmimic.commands.console import put_table
 from fastmimic.commands.show import note_origin, put_result, unmet_bounds, write_run, yes_no
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import check_controller, method_named
@@ -135,6 +136,7 @@ class Imitate(SearchRun):
 
     def _imitate(self, robot: Robot, motion: Motion, method: str, folder: RunFolder) -> "Imitation":
         from fastmimic.imitation.imitate import imitate
+        from fastmimic.optimize.cma_es import optimisation_progress
 
         with optimisation_progress() as progress:
             return opt.apply(
@@ -194,6 +196,7 @@ class Stitch(SearchRun):
 
     def _stitch(self, sources: list[MotionSource], robot: Robot, folder: RunFolder) -> "Stitching":
         from fastmimic.imitation.stitch import stitch
+        from fastmimic.optimize.cma_es import optimisation_progress
 
         with ExitStack() as stack:
             bar: Callable[[Progress], None]

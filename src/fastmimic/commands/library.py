@@ -11,10 +11,10 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, subco
 
 from fastmimic.base.errors import ConfigError, FastMimicError, unknown
 from fastmimic.base.files import check_folder
+from fastmimic.base.progress import count_progress, note, share_progress, slow_start
 from fastmimic.clips.catalogue import parse_frames
-from fastmimic.commands import console
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import EXIT_SOME_FAILED, note, put, put_json, put_table
+from fastmimic.commands.console import EXIT_SOME_FAILED, put, put_json, put_table
 from fastmimic.commands.motion_files import ExportFormat
 from fastmimic.executors import make_executor
 from fastmimic.optimize.parameters import FinalChoice
@@ -256,7 +256,7 @@ class LibraryExport(_Choice):
         if not chosen:
             raise ConfigError(f"{self.library}: no motion of it fits what was asked for; see 'fastmimic library list'")
         check_folder(self.to)
-        with console.count_progress("exporting") as progress:
+        with count_progress("exporting") as progress:
             index = export_library(library, chosen, self.to, self.format, fps=self.fps, progress=progress)
         put(f"{len(chosen)} motions in {self.to}, listed in {index.name}")
         for licence in sorted({row["licence"] or "not stated" for row in chosen}):
@@ -285,7 +285,7 @@ class Verify:
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
         library = MotionDataset.open(self.library)
-        with console.count_progress("reading") as progress:
+        with count_progress("reading") as progress:
             health, removed = mend(library, progress) if self.mend else (check(library, progress), 0)
         put(f"{health.records} records, {len(health.damaged)} damaged, {len(health.foreign)} orphaned files")
         put(*(f"damaged: {line}" for line in health.damaged))
@@ -293,7 +293,7 @@ class Verify:
             put("the index is out of date")
         differing: list[str] = []
         if self.rerun:
-            with console.slow_start(), console.count_progress("running") as progress:
+            with slow_start(), count_progress("running") as progress:
                 differing, done = rerun(library, self.rerun, progress)
             put(f"{done} motions run again, {len(differing)} with a different reward")
             put(*(f"differs: {line}" for line in differing))
@@ -328,7 +328,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     from fastmimic.dataset.index import FAILED, grade
 
     started_building = False
-    with console.slow_start() as started, console.share_progress("building") as tell:
+    with slow_start() as started, share_progress("building") as tell:
 
         def report(step: "BuildStep") -> None:
             nonlocal started_building

@@ -9,13 +9,14 @@ from tyro.conf import Positional
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import ConfigError, MotionError, did_you_mean, unknown
+from fastmimic.base.progress import note, slow_start
 from fastmimic.clips.catalogue import describe, open_parts
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, data_folder, fetch, list_datasets
 from fastmimic.clips.formats import FORMATS
 from fastmimic.clips.segment import DISCRETE, Segment, find_segments
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import note, put, put_json, put_table, slow_start
+from fastmimic.commands.console import put, put_json, put_table
 from fastmimic.commands.show import describe_robot, note_origin, provenance
 from fastmimic.imitation.methods import controller_for
 from fastmimic.motion.export import EXPORTS, export_motion

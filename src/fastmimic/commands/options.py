@@ -14,10 +14,10 @@ from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder
+from fastmimic.base.progress import count_progress, note
 from fastmimic.base.text import plain
 from fastmimic.clips.catalogue import parse_frames
 from fastmimic.clips.clip import Clip
-from fastmimic.commands.console import count_progress, note
 from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion

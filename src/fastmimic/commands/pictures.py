@@ -13,8 +13,9 @@ from tyro.conf import Positional
 
 from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ConfigError, MotionError, OutputError
+from fastmimic.base.progress import count_progress, note, slow_start
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import count_progress, note, put, slow_start
+from fastmimic.commands.console import put
 from fastmimic.commands.show import check_truth, open_log
 from fastmimic.deploy.log import is_deployment_log
 from fastmimic.episode.plan import default_duration

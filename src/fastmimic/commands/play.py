@@ -8,8 +8,9 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from fastmimic.base.progress import slow_start
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import on_signal, slow_start
+from fastmimic.commands.console import on_signal
 from fastmimic.commands.pictures import serve
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.robot import load_robot

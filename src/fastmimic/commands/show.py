@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import packaged, remove_file
+from fastmimic.base.progress import count_progress, note, slow_start
 from fastmimic.base.text import NONE, number
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import EXIT_INTERRUPTED, count_progress, note, put, put_table, slow_start
+from fastmimic.commands.console import EXIT_INTERRUPTED, put, put_table
 from fastmimic.deploy.log import DeploymentLog, load_ground_truth
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot

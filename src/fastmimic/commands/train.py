@@ -13,9 +13,10 @@ from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import check_folder
 from fastmimic.base.machine import available_cores
+from fastmimic.base.progress import note, share_progress, tenths
 from fastmimic.base.text import plain
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import note, put, share_progress, tenths
+from fastmimic.commands.console import put
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONFIG

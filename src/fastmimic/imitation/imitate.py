@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +12,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import versions
+from fastmimic.base.progress import is_watched
 from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
@@ -19,7 +21,7 @@ from fastmimic.episode.metrics import TRACKED, Metrics, swing_clearance
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.methods import check_controller, made_with, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimize
+from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimisation_progress, optimize
 from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.stitched import make_problem
@@ -151,6 +153,7 @@ def imitate(
             that does not repeat always runs whole.
         iterations: of CMA-ES; None until its best scores stay the same, at most 200.
         workers: threads; None for one per core. The result does not depend on it.
+        progress: called after each iteration; None shows it in a terminal or notebook.
         n_basis: basis functions of each DMP.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
         warm_start: an optimised motion, or its file, with the modulation that the search begins from.
@@ -193,7 +196,9 @@ def imitate(
     search = {"objective": objective, "config": config, "workers": workers}
     problem = make_problem(robot, given, group=chosen.parameters, n_basis=n_basis, moved=moved, **search)
     prepared = time.perf_counter() - began
-    optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=progress)
+    shown = optimisation_progress() if progress is None and is_watched() else nullcontext(progress)
+    with shown as tell:
+        optimum = optimize(problem, settings, checkpoint=checkpoint, resume=resume, progress=tell)
     motion = made_with(problem.motion(optimum.x), method, config)
     after = run_episodes(robot, motion, duration_s=duration_s, config=config, log=True)
     return replace(

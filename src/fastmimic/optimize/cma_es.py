@@ -8,7 +8,8 @@ import hashlib
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,10 +20,12 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import CheckpointError, ConfigError
 from fastmimic.base.files import UNREADABLE, open_arrays, replace_file
+from fastmimic.base.progress import progress_bar, slow_start, tenths
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
 
 MOST_ITERATIONS: Final = 200
+_CHOOSING: Final = "validating the best candidates in longer episodes"
 _SETTLED: Final = (20, 5e-4)  # iterations whose best scores differ by less: nothing more is to be gained
 _VERSION: Final = 1
 
@@ -120,6 +123,25 @@ class Progress:
     best: float
     evaluations_per_s: float
     remaining_s: float
+
+
+@contextmanager
+def optimisation_progress() -> Iterator[Callable[[Progress], None]]:
+    """Progress of an optimisation: a bar on a terminal, otherwise a line for each tenth."""
+    with slow_start() as started, progress_bar("optimising") as show:
+        due = tenths()
+
+        def progress(step: Progress) -> None:
+            started()
+            left = f"{step.remaining_s // 60:.0f}:{step.remaining_s % 60:02.0f}"
+            figures = f"best {step.best:.3f}  {step.evaluations_per_s:.0f} evaluations/s  {left} left"
+            done, total = step.iteration, step.iterations
+            line = f"iteration {done}/{total}  {figures}" if due(done, total) else ""
+            show(line, completed=done, total=total, info=figures)
+            if done == total:
+                show(_CHOOSING, description="validating")
+
+        yield progress
 
 
 def optimize(
