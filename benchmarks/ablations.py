@@ -17,7 +17,6 @@ from marked import put
 import fastmimic as fm
 from fastmimic.control.config import ControllerConfig
 from fastmimic.experiments.ablations import ABLATED, ablations_of
-from fastmimic.primitive.rhythmic import N_BASIS
 
 MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "pace", "turn", "side-step")
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "method.md"
@@ -32,7 +31,7 @@ def main() -> None:
     args = parser.parse_args()
     robot, config = fm.load_robot("a1"), ControllerConfig()
     # what changes the motion, and not the controller, is another question
-    changed = {a.name: a.change(config) for a in ablations_of(config) if a.consistent and a.n_basis == N_BASIS}
+    changed = {a.name: a.change(config) for a in ablations_of(config) if a.consistent and a.n_basis is None}
     variants = {"the whole controller": config, **{f"`{name}`": c for name, c in changed.items()}}
     cells: dict[str, list[str]] = {name: [] for name in variants}
     for name in args.motions:

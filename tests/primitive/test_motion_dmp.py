@@ -1,6 +1,7 @@
 """The DMPs of a motion: what they reproduce, and what modulating them does."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +88,7 @@ def test_real_clips_are_fitted(name: str, robot: Robot, data_folder: Path) -> No
     if motion.cycle is None:
         pytest.fail(f"{name} is a cycle")
     dmp = MotionDmp.fit(motion, robot)
-    assert dmp.primitive.n_basis == 100
+    assert dmp.primitive.n_basis == max(100, math.ceil(motion.period_s / 0.02))  # of a long cycle one each 20 ms
     assert_fits(dmp)
 
 

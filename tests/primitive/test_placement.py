@@ -48,7 +48,7 @@ def test_functions_sum_to_one_wherever_they_are() -> None:
 
 def test_a_long_loop_is_fitted_below_a_millimetre_by_a_hundred_functions() -> None:
     y = steps_and_pauses(LONG)
-    dmp = RhythmicDmp.fit(y, 6.0)
+    dmp = RhythmicDmp.fit(y, 6.0, 100)
     error = dmp.position(2 * np.pi * np.arange(LONG) / LONG) - y
     assert dmp.n_basis == 100
     assert np.sqrt(np.mean(error**2)) < 5e-4

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, rotvec_from_quat
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, read_clip
 from fastmimic.clips.formats.points import robot_points
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
-from fastmimic.retargeting.retarget import RetargetReport, retarget
+from fastmimic.retargeting.retarget import RetargetReport, choose_scale, retarget
 from fastmimic.retargeting.track import resample_open, resample_periodic
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
@@ -173,6 +173,20 @@ def test_other_robots_scale_by_their_legs(a1: Robot) -> None:
     assert small.scale == pytest.approx(0.825)
     assert large.scale / small.scale == pytest.approx(go2.leg_length / a1.leg_length)
     assert retarget(generate("walk"), a1, scale=0.7, executable=False)[1].scale == 0.7
+
+
+@pytest.mark.parametrize("size", [0.3, 0.5, 2.0, 3.5])
+def test_an_animal_of_another_size_has_its_own_scale(a1: Robot, size: float) -> None:
+    walk = generate("walk")
+    _, report = retarget(replace(walk, points_w=size * walk.points_w), a1, executable=False)
+    assert report.scale * size == pytest.approx(0.825, rel=0.1)
+    assert min(report.after.clearance_m) > 0.04
+
+
+def test_legs_that_are_folded_do_not_make_the_animal_small(a1: Robot) -> None:
+    walk = generate("walk")
+    low = walk.points_w - np.where(np.char.find(POINT_NAMES, "toe") < 0, 0.25, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    assert choose_scale(replace(walk, points_w=low), a1) == pytest.approx(0.825)
 
 
 def test_other_rates_give_the_same_motion(a1: Robot, trot) -> None:  # type: ignore[no-untyped-def]

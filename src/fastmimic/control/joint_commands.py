@@ -141,6 +141,7 @@ def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Ar
     g, knee = model.geometry[leg], 3 * leg + 2
     straight = model.upper[knee] - config.joint_margin if g[10] < 0 else model.lower[knee] + config.joint_margin
     bend = straight - np.arctan2(-g[6], -g[7]) + np.arctan2(-g[8], -g[9])
+    bend = min(bend, 0.0) if g[10] < 0 else max(bend, 0.0)  # a knee that turns further than straight ends there
     thigh, calf = np.hypot(g[6], g[7]), np.hypot(g[8], g[9])
     longest = thigh * thigh + calf * calf + 2.0 * thigh * calf * np.cos(bend) + g[3] * g[3]  # squared
     x, y, z = target[0] - g[0] - g[4], target[1] - g[1], target[2] - g[2]

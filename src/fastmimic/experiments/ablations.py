@@ -8,7 +8,6 @@ from fastmimic.base.configuration import changed
 from fastmimic.base.files import packaged
 from fastmimic.base.registry import Registry
 from fastmimic.control.config import CONFIGS, ControllerConfig
-from fastmimic.primitive.rhythmic import N_BASIS
 
 ABLATED: Final = "mbc-dmp"
 
@@ -22,7 +21,7 @@ class Ablation:
     changes: Mapping[str, Any] = field(default_factory=dict)  # nested like the configuration
     paper: bool = False  # whether they are of the paper's configuration, in place of the given one
     consistent: bool = True  # whether retargeting makes the motion consistent (`RetargetConfig.consistent`)
-    n_basis: int = N_BASIS  # basis functions of each DMP
+    n_basis: int | None = None  # basis functions of each DMP
 
     def change(self, config: ControllerConfig) -> ControllerConfig:
         """The variant's configuration, in place of the method's."""
@@ -39,7 +38,7 @@ def ablations_of(config: ControllerConfig) -> tuple[Ablation, ...]:
     return tuple(
         ablation
         for ablation in ABLATIONS.values()
-        if ablation.change(config) != config or not ablation.consistent or ablation.n_basis != N_BASIS
+        if ablation.change(config) != config or not ablation.consistent or ablation.n_basis is not None
     )
 
 

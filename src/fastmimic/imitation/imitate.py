@@ -25,7 +25,6 @@ from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimisati
 from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.stitched import make_problem
-from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.loading import load_motion
 
@@ -135,7 +134,7 @@ def imitate(
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
-    n_basis: int = N_BASIS,
+    n_basis: int | None = None,
     controller: MakeController | None = None,
     warm_start: str | Path | Motion | None = None,
     choice: FinalChoice = FinalChoice(),
@@ -154,7 +153,7 @@ def imitate(
         iterations: of CMA-ES; None until its best scores stay the same, at most 200.
         workers: threads; None for one per core. The result does not depend on it.
         progress: called after each iteration; None shows it in a terminal or notebook.
-        n_basis: basis functions of each DMP.
+        n_basis: basis functions of each DMP; None for 100, and of a long cycle one each 20 ms.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
         warm_start: an optimised motion, or its file, with the modulation that the search begins from.
         choice: how the search chooses its result.

@@ -32,7 +32,6 @@ from fastmimic.optimize.parameters import FOOT_HEIGHT, needed_group
 from fastmimic.optimize.problem import ImitationProblem, Objective, Problem, clearance_penalty
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.motion_dmp import foot_table, rate_of
-from fastmimic.primitive.rhythmic import N_BASIS
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.transition import Layout
@@ -53,7 +52,7 @@ class StitchedProblem(Problem):
         config: ControllerConfig | None = None,
         group: str = FOOT_HEIGHT,
         workers: int | None = None,
-        n_basis: int = N_BASIS,
+        n_basis: int | None = None,
     ) -> None:
         """`demonstration` is from `stitch_motions`; `start` that of the search by parameter, or per segment, clipped to
         the bounds, unmodulated where it has no value; of `objective` the clearance rule holds per segment, and the
@@ -160,7 +159,7 @@ def make_problem(
     motion: Motion,
     *,
     group: str = FOOT_HEIGHT,
-    n_basis: int = N_BASIS,
+    n_basis: int | None = None,
     moved: Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Problem:

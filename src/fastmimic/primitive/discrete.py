@@ -58,7 +58,7 @@ class DiscreteDmp:
     duration_s: float
 
     @classmethod
-    def fit(cls, samples: Array, duration_s: float, n_basis: int = N_BASIS) -> "DiscreteDmp":
+    def fit(cls, samples: Array, duration_s: float, n_basis: int | None = None) -> "DiscreteDmp":
         """Fits a movement by regularised least squares on y itself, which is linear in w.
 
         The usual regression on f needs second derivatives, which corners at touch-down spoil. Start, starting velocity
@@ -67,10 +67,11 @@ class DiscreteDmp:
         Args:
             samples: (t, d) from start to end, evenly spaced, at least 4 and at most `MAX_S` long.
             duration_s: T, from the first to the last of them, s.
-            n_basis: basis functions per dimension; a long motion gets more, one each 25 ms.
+            n_basis: basis functions per dimension, None for 100; a long motion gets more, one each 25 ms.
 
         Raises `MotionError` for too few, too long or non-finite samples, and `ConfigError` for a bad setting.
         """
+        n_basis = N_BASIS if n_basis is None else n_basis
         y = checked_samples(samples, "the motion", duration_s=duration_s, n_basis=n_basis)
         if duration_s > MAX_S:
             raise MotionError(

@@ -29,7 +29,7 @@ from fastmimic.base.rotations import (
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import DmpRecord
 from fastmimic.primitive.discrete import DiscreteDmp
-from fastmimic.primitive.rhythmic import ALPHA, N_BASIS, RhythmicDmp, Terms
+from fastmimic.primitive.rhythmic import ALPHA, RhythmicDmp, Terms
 from fastmimic.robot.kinematics import leg_forward, leg_inverse
 from fastmimic.robot.robot import Robot
 
@@ -231,7 +231,7 @@ class MotionDmp:
     fit_rms: dict[str, float]
 
     @classmethod
-    def fit(cls, motion: Motion, robot: Robot, n_basis: int = N_BASIS) -> "MotionDmp":
+    def fit(cls, motion: Motion, robot: Robot, n_basis: int | None = None) -> "MotionDmp":
         """Raises `MotionError`: the trunk points straight up or down, or a motion without a cycle exceeds `MAX_S`."""
         twist = twist_of(motion)
         samples = to_coordinates(motion, twist)

@@ -25,6 +25,7 @@ from fastmimic.base.jit import kernel
 
 LEAST_SAMPLES: Final = 4
 N_BASIS: Final = 100
+_FUNCTIONS_PER_S: Final = 50  # of a long cycle
 ALPHA: Final = 25.0  # stiffness α, per radian of phase, as in Ijspeert et al. 2013; critically damped with β = α/4
 RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
 _FLOOR: Final = 0.2  # share of the basis functions that is spread evenly
@@ -56,7 +57,7 @@ class RhythmicDmp:
     period_s: float
 
     @classmethod
-    def fit(cls, samples: Array, period_s: float, n_basis: int = N_BASIS) -> "RhythmicDmp":
+    def fit(cls, samples: Array, period_s: float, n_basis: int | None = None) -> "RhythmicDmp":
         """Fits one cycle by regularised least squares on the limit cycle itself.
 
         The weights minimise mean (y − g − s)² + `RIDGE` · mean (w/αβ)², since s is linear in w. The usual regression on
@@ -66,11 +67,12 @@ class RhythmicDmp:
         Args:
             samples: (t, d) one cycle, evenly spaced in [0, T), at least 4.
             period_s: T, s.
-            n_basis: basis functions per dimension.
+            n_basis: basis functions per dimension; None for 100, and of a long cycle one each 20 ms.
 
         Raises `MotionError` for too few or non-finite samples and `ConfigError` for a setting that is not positive.
         """
-        y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=n_basis)
+        y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=N_BASIS if n_basis is None else n_basis)
+        n_basis = max(N_BASIS, int(np.ceil(_FUNCTIONS_PER_S * period_s))) if n_basis is None else n_basis
         goal = y.mean(axis=0)
         centres = place_basis(y, n_basis)
         weights = np.empty_like(centres)

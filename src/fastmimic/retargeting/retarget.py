@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
@@ -30,7 +31,10 @@ from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 from fastmimic.trajectory.executable import nearest_executable
 
-DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE  # of an animal of unknown size, so that other robots scale by their own
+DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE  # so that other robots scale by their own
+_DOG_TRUNK_M: Final = 0.4
+_OWN_SIZE: Final = 1.15  # of an animal that is not as large as the dog
+_REACH: Final = 0.83  # of a leg in motion, share of its length: the dog's and the horse's
 MIN_FRAMES: Final = 8
 
 
@@ -92,10 +96,21 @@ def retarget(
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:
-    """The clip's own scale, else the ratio of leg lengths, with those of the dog of `DOG_SCALE` if unknown."""
+    """The clip's own scale, else the ratio of leg lengths."""
     if clip.scale is not None:
         return float(clip.scale)
-    return robot.leg_length / (clip.leg_length_m if clip.leg_length_m is not None else DOG_LEG_LENGTH_M)
+    return robot.leg_length / (clip.leg_length_m if clip.leg_length_m is not None else _leg_length(clip))
+
+
+def _leg_length(clip: Clip) -> float:
+    """An animal's leg length by how far its legs reach, m; the dog's of `DOG_SCALE` if it is about as large. Legs that
+    reach less far may be folded, so that a small animal has a short trunk as well."""
+    hips = np.stack([clip.point(f"{leg}_hip") for leg in LEGS], axis=1)
+    reach = np.percentile(np.linalg.norm(clip.toes_w - hips, axis=-1), 95, axis=0)
+    own = reach.max() / _REACH
+    trunk = np.median(np.linalg.norm(clip.point("neck") - clip.point("pelvis"), axis=1))
+    large, small = own > _OWN_SIZE * DOG_LEG_LENGTH_M, own < DOG_LEG_LENGTH_M / _OWN_SIZE
+    return float(own) if large or (small and trunk < _DOG_TRUNK_M / _OWN_SIZE) else DOG_LEG_LENGTH_M
 
 
 def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
