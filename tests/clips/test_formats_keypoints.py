@@ -1,6 +1,7 @@
 """Dog keypoints: which column is which point, which axis is up, and what is wrong with a bad file."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -85,10 +86,23 @@ def test_a_file_cut_off_in_its_last_line_is_called_truncated():
         keypoints.parse(text[: len(text) - 100])
 
 
+def test_a_minute_that_was_not_tracked_leaves_the_others(data_folder: Path) -> None:
+    lines = (data_folder / "dog_keypoints" / "dog_walk03_joint_pos.txt").read_text().splitlines()
+    whole = keypoints.parse("\n".join(lines))
+    lines[200:260] = [",".join(["nan"] * 81)] * 60
+    lines[300] = lines[300].replace(lines[300].split(",")[31], "", 1)
+    rest = keypoints.parse("\n".join(lines))
+    assert rest.meta["parts"] == [[0, 200], [260, len(lines)]]
+    assert rest.body_w is not None
+    assert whole.body_w is not None
+    first, end = rest.meta["frames"]
+    np.testing.assert_allclose(rest.points_w, whole.points_w[first:end], atol=0.02)
+    np.testing.assert_allclose(rest.body_w, whole.body_w[first:end], atol=0.02)
+
+
 @pytest.mark.parametrize(
     ("written", "problem"),
     [
-        ("nan", "nan is not finite"),
         ("-inf", "-inf is not finite"),
         ("1e9", r"1e\+09 is too large"),
         ("abc", "'abc' is not a number"),
@@ -104,7 +118,7 @@ def test_a_bad_value_names_line_column_and_point(written: str, problem: str):
 
 
 def test_line_numbers_count_blank_and_comment_lines():
-    text = "# a dog\n\n" + keypoint_text().replace("0.37000", "nan", 1)
+    text = "# a dog\n\n" + keypoint_text().replace("0.37000", "1e9", 1)
     with pytest.raises(ClipError, match="line 3, column 2"):
         keypoints.parse(text)
 

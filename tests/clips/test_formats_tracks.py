@@ -149,6 +149,24 @@ def test_a_low_score_of_anipose_is_a_gap(tmp_path: Path) -> None:
     assert np.abs(clip.points_w - walk()).max() < 0.01
 
 
+def test_rows_that_anipose_left_out_are_gaps(tmp_path: Path) -> None:
+    lines = pose_files.anipose_csv(walk()).splitlines()
+    (tmp_path / "take.csv").write_text("\n".join([*lines[:101], *lines[106:]]))
+    clip = read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))
+    assert clip.n_frames == len(walk())
+    assert np.abs(clip.points_w - walk()).max() < 0.02
+    (tmp_path / "take.csv").write_text("\n".join([*lines[:9], lines[4], *lines[9:]]))
+    with pytest.raises(ClipError, match="the frames' numbers"):
+        read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))
+
+
+@pytest.mark.parametrize(("size", "unit"), [(1000.0, "millimetres"), (650.0, "millimetres"), (100.0, "centimetres")])
+def test_the_unit_follows_from_the_legs(size: float, unit: str, tmp_path: Path) -> None:
+    (tmp_path / "take.csv").write_text(pose_files.deeplabcut_csv({"": size / 1000 * walk(1)}))
+    said = read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE)).meta["assumed"]
+    assert any(f"coordinates are in {unit}" in sentence for sentence in said)
+
+
 def test_a_damaged_table_names_line_and_point(tmp_path: Path) -> None:
     lines = pose_files.deeplabcut_csv({"": walk(1)}).splitlines()
     fields = lines[8].split(",")

@@ -94,9 +94,7 @@ def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
         return np.zeros(points.shape[:2], dtype=bool)
     typical = np.nanpercentile(lengths, _STRAIGHT, axis=0)
     leg = float(np.median(typical[-4:]))
-    t, columns = np.arange(len(points)), points.reshape(len(points), -1).T
-    straight = [np.interp(t, t[on], x[on]) for on, x in zip(np.isfinite(columns), columns, strict=True)]
-    paths = np.stack(straight, axis=1).reshape(points.shape)  # with straight lines where points are missing
+    paths = bridged(points)
     usual = median_filter(paths, (2 * max(2, round(_AROUND_S * rate_hz)) + 1, 1, 1), mode="nearest")
     found = np.linalg.norm(paths - usual, axis=2) > _JUMP * leg
     whole = np.linalg.norm(np.diff(np.where(found[..., None], usual, paths)[:, ends], axis=2)[:, :, 0], axis=2)
@@ -104,6 +102,18 @@ def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
     for frame in np.flatnonzero(wrong.any(axis=1)):
         found[frame] |= _at_fault(wrong[frame], ends)
     return np.asarray(found & np.isfinite(points).all(axis=2))
+
+
+def bridged(points: Array) -> Array:
+    """Points (t, k, 3) with straight lines where they are missing, and at their mean if they are never there."""
+    if np.isfinite(points).all():
+        return points
+    t, mean = np.arange(len(points)), np.nanmean(points, axis=(0, 1))
+    columns = np.array(points.reshape(len(points), -1))
+    for k, column in enumerate(columns.T):
+        there = np.isfinite(column)
+        columns[:, k] = np.interp(t, t[there], column[there]) if there.any() else mean[k % 3]
+    return columns.reshape(points.shape)
 
 
 def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -31,7 +31,8 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, frames:
     """Reads the text of a keypoint file; `fps` is 60 if None, and `up` the axis along which the hips are above the
     toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
-    values = to_array(rows, COLUMNS, lambda c: f"point {c // 3} {'xyz'[c % 3]}", "dog keypoints")
+    gaps = range(COLUMNS)
+    values = to_array(rows, COLUMNS, lambda c: f"point {c // 3} {'xyz'[c % 3]}", "dog keypoints", gaps=gaps)
     notes = () if fps is not None else (f"{DEFAULT_RATE_HZ:g} frames a second: the file does not say",)
     names = [str(i) for i in range(DOG.points)]
     tracks = Tracks(names, values.reshape(-1, DOG.points, 3), DEFAULT_RATE_HZ, notes=notes, skeleton=DOG)

@@ -18,7 +18,7 @@ from fastmimic.base.files import read_json
 from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
-from fastmimic.clips.formats.gaps import Part, mend, part_for
+from fastmimic.clips.formats.gaps import Part, bridged, mend, part_for
 from fastmimic.clips.formats.point_names import BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
 
@@ -31,8 +31,8 @@ _TO_Z_UP: Final = {"y": (2, 0, 1), "z": (0, 1, 2), "x": (1, 2, 0)}
 """Columns that make an axis of the file the vertical one, without a reflection; for its opposite, two are negated."""
 UP_AXES: Final = (*_TO_Z_UP, *(f"-{axis}" for axis in _TO_Z_UP))
 _MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
-_UNITS: Final = ((3000.0, 0.0, "pixels"), (300.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
-"""Units other than metres, with the least distance from toes to hips in the file's numbers (no leg is 3 m)."""
+_UNITS: Final = ((3000.0, 0.0, "pixels"), (160.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
+"""Units other than metres, with the least distance from toes to hips in the file's numbers (a horse's is 1.2 m)."""
 _STEP_S: Final = 0.4  # within which a toe that walks stands for a moment
 _FLAT: Final = 0.3  # largest thickness of the ground as a share of its width, for a plane to be fitted
 _LEAST_TILT_RAD: Final = np.radians(3.0)
@@ -301,7 +301,7 @@ class Tracks:
         clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
         if self.skeleton is None:
             return clip
-        drawn = axes.to_world(self.positions)[first:end]
+        drawn = axes.to_world(bridged(self.positions))[first:end]
         drawn[:, np.array(places)[known]] = points[:, known]
         return replace(clip, body_w=drawn, skeleton=self.skeleton)
 

@@ -74,9 +74,14 @@ def read_anipose(text: str) -> Tracks:
     gaps = [i for i, (_, name, _) in enumerate(columns) if name not in ("", "M", "center")]
     largest = [np.inf if what == "error" else 1e6 for _, _, what in columns]
     values = to_array(table.rows, len(header), header.__getitem__, "Anipose", largest, gaps)
+    frame = values[:, header.index("fnum")].astype(int)
+    if (np.diff(frame) < 1).any() or frame[-1] - frame[0] >= 2 * len(frame):
+        raise ClipError("the frames' numbers (fnum) do not grow, or more than half of the frames are missing")
+    every = np.full((frame[-1] - frame[0] + 1, len(header)), np.nan)  # rows that are not there are gaps
+    every[frame - frame[0]] = values
     scored = [(who, name, "likelihood" if what == "score" else what) for who, name, what in columns]
     rotation = values[0, [header.index(name) for name in _ROTATION]].reshape(3, 3)
-    return tracks_of(scored, values, is_level=not np.allclose(rotation, np.eye(3)))
+    return tracks_of(scored, every, is_level=not np.allclose(rotation, np.eye(3)))
 
 
 def _rows(table: Table) -> list[Row]:
