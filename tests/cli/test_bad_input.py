@@ -45,7 +45,7 @@ FILES = {
     "binary": (write("binary.txt", bytes(range(256))), "a binary file"),
     "folder": (lambda folder: folder, "a folder without motion.npz"),
     "columns": (write("columns.txt", "1,2,3\n4,5,6\n"), "line 1 has 3 columns"),
-    "nan": (write("nan.txt", KEYPOINTS.replace("0.37000", "nan", 1)), "line 1"),
+    "not finite": (write("inf.txt", KEYPOINTS.replace("0.37000", "inf", 1)), "line 1"),
     "one frame": (write("one.txt", KEYPOINTS.splitlines()[0]), "frame"),
     "truncated json": (write("cut.json", '{"Frames": [[1, 2'), "cut.json"),
     "other npz": (policy, "not a FastMimic motion: array"),
