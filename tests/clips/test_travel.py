@@ -120,19 +120,38 @@ def data() -> Path:
 
 
 @pytest.mark.parametrize(
-    ("take", "cuts"),
-    [("walk00", [(162, 201), (101, 580)]), ("walk03", [(448, 481), (177, 545)]), ("run00", [(399, 535)])],
+    ("file", "cuts", "heading_found"),
+    [
+        (DOG.format("walk00"), [(162, 201), (101, 580)], True),
+        (DOG.format("walk03"), [(448, 481), (177, 545)], False),
+        (DOG.format("walk09"), [], True),
+        (DOG.format("pace"), [], False),
+        (DOG.format("run00"), [(399, 535), (427, 454)], False),  # paws turn on the ground in a gallop
+        ("kine2go/circle_walk.txt", [], False),
+        ("kine2go/ellipse_walk.txt", [], True),
+    ],
 )
-def test_the_way_of_the_dog_is_found_again(take: str, cuts: list[tuple[int, int]], data: Path) -> None:
-    clip = open_clip(data / DOG.format(take))
+def test_the_way_of_the_dog_is_found_again(
+    file: str, cuts: list[tuple[int, int]], heading_found: bool, data: Path
+) -> None:
+    clip = open_clip(data / file)
     found = with_travel(on_the_spot(clip))
     turned = with_travel(on_the_spot(clip, without_heading=True))
     for cut in [(0, clip.n_frames), *cuts]:
         true = speed(clip.cut(*cut))
         assert speed(found.cut(*cut)) == pytest.approx(true, rel=0.05)
         assert speed(turned.cut(*cut)) == pytest.approx(true, rel=0.05)
-    if take != "run00":  # whose paws turn on the ground as it gallops
-        assert yaw_rate(turned) == pytest.approx(yaw_rate(clip), abs=2.0)
+        assert yaw_rate(found.cut(*cut)) == pytest.approx(yaw_rate(clip.cut(*cut)), abs=0.1)
+    assert yaw_rate(turned) == pytest.approx(yaw_rate(clip), abs=2.0 if heading_found else 5.0)
+
+
+@pytest.mark.parametrize(
+    ("file", "tolerance"),
+    [(DOG.format("trot"), 0.08), (DOG.format("turn00"), 0.05), ("kine2go/tight_strafe.txt", 0.05)],
+)
+def test_the_speed_of_a_fast_trot_and_of_tight_turns_is_found_again(file: str, tolerance: float, data: Path) -> None:
+    clip = open_clip(data / file)
+    assert speed(with_travel(on_the_spot(clip), "recover")) == pytest.approx(speed(clip), rel=tolerance)
 
 
 @pytest.mark.parametrize("without_heading", [False, True])

@@ -1,9 +1,9 @@
 """The way of an animal whose recording does not travel: on a treadmill, or with the trunk's path taken out of it.
 
-If the recording's own frame moves over the ground by v and turns by ω, then v + ω × p + u = 0 for a standing foot at p
-whose velocity in the recording is u. Robust least squares over all low feet give v, and ω where the heading was taken
-out as well. A paw rolls forward over its toes but never back while it carries weight, so feet that move back count
-more. Smoothness in time carries the solution over phases of flight.
+If the trunk moves over the ground by v and turns by ω, then v + ω × p + u = 0 for a standing foot at p from the trunk
+whose velocity from it is u. Robust least squares over all low feet give v, and ω where the heading was taken out as
+well. A paw rolls forward over its toes but hardly back while it carries weight, so feet that move back count more. A
+trunk changes its speed slowly: that carries the solution over phases of flight.
 """
 
 from dataclasses import replace
@@ -18,13 +18,13 @@ from fastmimic.clips.clip import Clip
 
 TRAVEL: Final = ("auto", "recover", "as-is")
 
-_LOW: Final = 0.25  # height of a standing foot, share of the greatest nearby
+_LOW: Final = 0.4  # height of a standing foot, share of the greatest nearby
 _SLIP: Final = 0.1  # speed of a standing foot over the ground, share of the fastest foot's nearby
-_BACKWARDS: Final = 6.0  # weight of feet that move back over the ground
+_BACKWARDS: Final = 2.8  # weight of feet that move back over the ground
 _NEARBY_S: Final = 0.75
 _SWAY_S: Final = 0.2
-_SMOOTH_S: Final = 0.05
-_SMOOTH_TURN: Final = 10.0  # how much more slowly the frame turns than it moves
+_SMOOTH_S: Final = 0.2
+_SMOOTH_TURN: Final = 1.0  # of a turn's changes, by how fast they move the feet; of the speed's, 1
 _ROUNDS: Final = 15
 _NO_HEADING_RAD: Final = 0.01  # standard deviation below which a heading was taken out: an animal's is above 0.02
 _LEAST_FLOW: Final = 0.5  # of the ground below the low feet of an animal on the spot, share of all feet's speed
@@ -53,17 +53,16 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
     way = min(_speed(path, clip.rate_hz) for path in (_trunk(clip), clip.point("pelvis")[:, :2]))
     if travel == "as-is" or moving == 0 or (travel == "auto" and way > _LARGEST_WAY * moving):
         return clip
-    if travel == "recover":
-        still = np.concatenate([_trunk(clip), np.zeros((clip.n_frames, 1))], axis=1)[:, None]
-        body = None if clip.body_w is None else clip.body_w - still
-        clip = replace(clip, points_w=clip.points_w - still, body_w=body)
+    still = np.concatenate([_trunk(clip), np.zeros((clip.n_frames, 1))], axis=1)[:, None]
+    body = None if clip.body_w is None else clip.body_w - still
+    recorded, clip = clip, replace(clip, points_w=clip.points_w - still, body_w=body)
     ahead = clip.point("neck") - clip.point("pelvis")
     no_heading = bool(np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])).std() < _NO_HEADING_RAD)
     feet = _feet(clip, no_heading)
     twist = _twist(feet, clip.rate_hz)
     flow = _rms(np.einsum("tfia,ta->tfi", feet.rows, twist), feet.low)
     if travel == "auto" and (flow < _LEAST_FLOW * moving or way > _LARGEST_WAY * flow):
-        return clip
+        return recorded
     moved = _moved(clip, twist)
     found = f"the way of the trunk ({_speed(_trunk(moved), clip.rate_hz):.2f} m/s) is recovered from the standing feet"
     why = "" if travel == "recover" else ": they run back while the trunk stays where it is (--travel as-is keeps it)"
@@ -97,7 +96,7 @@ def _nearby(values: Array, rate_hz: float) -> Array:
 def _feet(clip: Clip, no_heading: bool) -> _Feet:
     height = np.maximum(clip.toes_w[..., 2] - np.percentile(clip.toes_w[..., 2], 10, axis=0), 0.0)
     share = height / np.maximum(_nearby(height, clip.rate_hz), 1e-3)
-    place = clip.toes_w[..., :2] - _trunk(clip).mean(axis=0)
+    place = clip.toes_w[..., :2]
     rows = np.zeros((*place.shape, 3))
     rows[..., 0, 0] = rows[..., 1, 1] = 1.0
     if no_heading:
@@ -106,7 +105,7 @@ def _feet(clip: Clip, no_heading: bool) -> _Feet:
 
 
 def _twist(feet: _Feet, rate_hz: float) -> Array:
-    """v and ω of the recording's frame, (t, 3), m/s and rad/s, in its own axes."""
+    """v and ω of the trunk, (t, 3), m/s and rad/s, in the recording's axes."""
     fastest = _nearby(np.linalg.norm(feet.velocity, axis=-1).max(axis=1), rate_hz)
     slip = _SLIP * np.maximum(fastest, feet.size)[:, None]
     weight, twist = feet.low, np.zeros((len(feet.low), 3))
@@ -139,16 +138,16 @@ def _smooth_fit(feet: _Feet, weight: Array, rate_hz: float) -> Array:
 
 
 def _moved(clip: Clip, twist: Array) -> Clip:
-    """The clip in a frame that stays on the ground, from the twist (t, 3) of its own about the trunk's mean place."""
+    """The clip, whose trunk is at the origin, moved by the trunk's twist (t, 3)."""
     from scipy.integrate import cumulative_trapezoid
 
-    centre, dt = _trunk(clip).mean(axis=0), 1.0 / clip.rate_hz
+    dt = 1.0 / clip.rate_hz
     angle = cumulative_trapezoid(twist[:, 2], dx=dt, initial=0)
-    place = centre + cumulative_trapezoid(rotate_planar(angle, twist[:, :2]), dx=dt, axis=0, initial=0)
+    place = cumulative_trapezoid(rotate_planar(angle, twist[:, :2]), dx=dt, axis=0, initial=0)
 
     def move(points: Array) -> Array:
         out = np.array(points)
-        out[..., :2] = rotate_planar(angle[:, None], points[..., :2] - centre) + place[:, None]
+        out[..., :2] = rotate_planar(angle[:, None], points[..., :2]) + place[:, None]
         return out
 
     quat = clip.root_quat_wxyz
