@@ -79,6 +79,22 @@ def deeplabcut_h5(path: Path, points: np.ndarray) -> Path:
     return path
 
 
+def deeplabcut_fixed_h5(path: Path, points: np.ndarray) -> Path:
+    """`DataFrame.to_hdf(key="df_with_missing")`, as PyTables lays it out: pandas' default format, "fixed"."""
+    import h5py
+
+    levels = (["DLC_3D"], list(NAMES), list("xyz"))
+    places = np.unravel_index(np.arange(3 * len(NAMES)), (1, len(NAMES), 3))
+    with h5py.File(path, "w") as file:
+        group = file.create_group("df_with_missing")
+        group.attrs.update(pandas_type=np.bytes_(b"frame"), nblocks=1, block0_items_nlevels=len(levels))
+        for i, (level, place) in enumerate(zip(levels, places, strict=True)):
+            group[f"block0_items_level{i}"] = np.array(level, "S")
+            group[f"block0_items_label{i}"] = place.astype(np.int8)
+        group["block0_values"] = to_camera(points).reshape(len(points), -1)
+    return path
+
+
 def sleap_anipose_h5(path: Path, animals: Sequence[np.ndarray], names: bool = False) -> Path:
     """`points3d.h5` of `sleap_anipose.triangulate`: (frames, tracks, nodes, 3), without the names of the nodes."""
     import h5py
@@ -89,6 +105,17 @@ def sleap_anipose_h5(path: Path, animals: Sequence[np.ndarray], names: bool = Fa
         file["tracks"].attrs["Description"] = "Shape: (n_frames, n_tracks, n_nodes, 3)."
         if names:
             file.create_dataset("node_names", data=np.array(NAMES, dtype="S"))
+    return path
+
+
+def sleap_project(path: Path) -> Path:
+    """A project's labels: tables of frames, instances and points of a picture."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_group("metadata").attrs["format_id"] = 1.2
+        for name in ("frames", "instances", "points", "pred_points"):
+            file[name] = np.zeros(3, dtype=[("x", "<f8"), ("y", "<f8")])
     return path
 
 

@@ -84,6 +84,19 @@ def test_a_closed_loop_loses_its_repeated_frame(tmp_path: Path) -> None:
     assert clip.n_frames == N - 1
 
 
+@pytest.mark.parametrize("isaac", [False, True])
+def test_the_root_may_be_the_centre_of_mass(isaac: bool, tmp_path: Path) -> None:
+    robot, offset_b = load_robot("a1"), np.array([0.0127, 0.0022, 0.0005])  # AMP_for_hardware's of the A1
+    rows = frames(robot, 49 if isaac else 61, ISAAC, isaac=isaac)
+    _, quat, _ = poses()
+    rows[:, :3] += quat_rotate(quat, offset_b)
+    first = 37 if isaac else 19
+    rows[:, first : first + 12] -= np.tile(quat_rotate(quat, offset_b) if isaac else offset_b, 4)
+    clip = read_clip(write(tmp_path / "trot0.txt", rows))
+    check(clip, robot)
+    assert any("its root is 12.9 mm from the robot's" in said for said in clip.meta["assumed"])
+
+
 def test_joints_may_turn_about_the_axes_of_the_robots_own_file(tmp_path: Path) -> None:
     robot = replace(load_robot("a1"), name="lite", joint_sign=np.tile([-1.0, -1.0, 1.0], 4))
     rows = frames(robot, 61, ISAAC)

@@ -53,6 +53,10 @@ FILES: dict[str, tuple[str, Writer]] = {
     ),
     "anipose.csv": ("anipose", text(pose_files.anipose_csv)),
     "deeplabcut.h5": ("hdf5", lambda path, p: pose_files.deeplabcut_h5(path, p) and ReadOptions(fps=RATE)),
+    "deeplabcut_fixed.h5": (
+        "hdf5",
+        lambda path, p: pose_files.deeplabcut_fixed_h5(path, p) and ReadOptions(fps=RATE),
+    ),
     "sleap_anipose.h5": ("hdf5", sleap_anipose),
     "sleap_named.h5": (
         "hdf5",
@@ -119,9 +123,15 @@ def test_points_in_a_picture_are_refused_with_what_makes_them_spatial(tmp_path: 
     path.write_text(pose_files.deeplabcut_csv({"": walk(1)}, "xy", likelihood=0.9))
     with pytest.raises(ClipError, match=r"lie in a picture .* Anipose, sleap-anipose or DeepLabCut's 3D mode"):
         read_clip(path)
+    path = tmp_path / "sleap.csv"
+    path.write_text("track,frame_idx,instance.score,paw.x,paw.y,paw.score\n,0,1.0,2.5,3.5,0.9\n")
+    with pytest.raises(ClipError, match="lie in a picture"):
+        read_clip(path)
     needs("view.h5")
     with pytest.raises(ClipError, match="lie in a picture"):
         read_clip(pose_files.sleap_analysis_h5(tmp_path / "view.h5", walk(1)))
+    with pytest.raises(ClipError, match="lie in a picture"):
+        read_clip(pose_files.sleap_project(tmp_path / "project.slp"))
 
 
 def test_of_several_animals_the_one_with_most_points_is_read(tmp_path: Path) -> None:

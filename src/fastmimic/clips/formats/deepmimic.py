@@ -8,7 +8,8 @@ Frames of adversarial motion priors have velocities and feet beside the 19 numbe
 AMP_for_hardware (Escontrela et al. 2022): root position 3 and quaternion x, y, z, w; joints 12, feet from the root in
 its axes 12, velocities of root 3 + 3, joints 12 and feet 12. 49 numbers are these without the feet's velocities, or
 root, its velocities 3 + 3, joints 12, their velocities 12, and feet from the root in world axes. Such files differ in
-the order of the legs, and name no robot: forward kinematics of the right ones gives the file's feet.
+the order of the legs, and name no robot: forward kinematics of the right ones gives the file's feet. Their root may be
+the trunk's centre of mass, as PyBullet's is: all feet are then off by the same few millimetres.
 """
 
 import json
@@ -21,7 +22,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, JOINT_NAMES, LARGEST, LEFT
 from fastmimic.base.errors import ClipError, did_you_mean
-from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate_inverse, rotate_planar
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import check_frames, check_positive, check_rate
@@ -46,6 +47,7 @@ LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))  
 
 _ORDERS: Final = {"FR, FL, RR, RL": (0, 1, 2, 3), "FL, FR, RL, RR": (1, 0, 3, 2)}
 _MOST_OFF_M: Final = 0.01  # RMS; an A1's feet are 0.02 off with the lengths of a Go1's or a Go2's legs
+_ROOT_OFF_M: Final = (0.001, 0.015)  # distance of a centre of mass from the robot's root
 _LAYOUTS: Final = {61: ((7, 19, False),), 49: ((7, 19, False), (13, 37, True))}
 """For each number of columns: the first of the joints and of the feet, and whether the feet are in world axes."""
 
@@ -64,8 +66,9 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
     own, joints = None if of is None else _named(of, robot), frames[:, 7:]
     with_feet = frames.shape[1] in _LAYOUTS
     if with_feet:
-        own, joints, found = _identify(frames, quat_file, own or robot)
+        own, joints, root_b, found = _identify(frames, quat_file, own or robot)
         assumed.append(found)
+        frames = np.concatenate([frames[:, :3] - quat_rotate(quat_file, root_b), frames[:, 3:]], axis=1)
     gap = float(np.max(np.abs(joints[-1] - joints[0])))
     if with_feet and loop == "Wrap" and gap > _CLOSED_RAD:
         loop = None
@@ -117,10 +120,10 @@ def _turned(v: Array, angle: Array, plane: list[int]) -> Array:
     return out
 
 
-def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robot, Array, str]:
-    """The robot of `frames` (t, 49 or 61), its joints (t, 12) in the common order, rad, and a sentence on what was
-    found. The trunk has the orientation `quat_wxyz` (t, 4); `robot` is tried besides the built-in ones. Raises
-    `ClipError` if the feet are those of none."""
+def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Robot, Array, Array, str]:
+    """The robot of `frames` (t, 49 or 61), its joints (t, 12) in the common order, rad, the file's root from the
+    robot's (3,), m, in its axes, and a sentence on what was found. The trunk has the orientation `quat_wxyz` (t, 4);
+    `robot` is tried besides the built-in ones. Raises `ClipError` if the feet are those of none."""
     from fastmimic.robot.kinematics import foot_positions
 
     robots = [*([robot] if robot is not None else []), *(load_robot(name) for name in ROBOT_NAMES)]
@@ -129,10 +132,17 @@ def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Rob
         joints, feet = _legs(frames, columns[0], order).reshape(-1, 12), _legs(frames, columns[1], order)
         joints = joints * own.joint_sign**turned  # about the common axes, or those of the robot's file
         feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if columns[2] else feet
-        off = float(np.sqrt(np.mean(np.sum((foot_positions(own, joints) - feet_b) ** 2, axis=-1))))
+        apart = foot_positions(own, joints) - feet_b
+        root_b = apart.mean(axis=(0, 1))
+        distance = float(np.linalg.norm(root_b))
+        if not _ROOT_OFF_M[0] < distance < _ROOT_OFF_M[1]:
+            root_b = np.zeros(3)
+        off = float(np.sqrt(np.mean(np.sum((apart - root_b) ** 2, axis=-1))))
         if off < least - 1e-9:
             said = f"joints are the {own.name}'s, legs {title}: the feet in the file are {1e3 * off:.1f} mm off its"
-            found, least = (own, joints, said), off
+            if root_b.any():
+                said += f", and its root is {1e3 * distance:.1f} mm from the robot's"
+            found, least = (own, joints, root_b, said), off
     if found is None or least > _MOST_OFF_M:
         tried = ", ".join(dict.fromkeys(own.name for own in robots))
         raise ClipError(

@@ -18,6 +18,10 @@ from fastmimic.clips.formats.text_table import Table, read_table
 from fastmimic.robot.robot import Robot
 
 _LINES_READ: Final = 2000  # within which a table is looked for, after any comment
+FLAT: Final = (
+    "these points lie in a picture (x and y, no z): triangulate the views of two calibrated cameras with Anipose,"
+    " sleap-anipose or DeepLabCut's 3D mode (deeplabcut.triangulate), and give the file of 3D points"
+)
 _ROWS_COUNTED: Final = 20
 _OTHERS: Final = {"bone_names.npy", "dt.npy"}  # arrays of other formats: AI4AnimationPy's, and trajectories
 _ZIP_MAGIC: Final = (b"PK\x03\x04", b"PK\x05\x06")
@@ -93,6 +97,9 @@ class Content:
         if not rows:
             return "the file holds no numbers"
         if header is not None and not self.table.header_is_comment:
+            ends = {name[-2:].lower() for name in header}
+            if any({f"{sign}x", f"{sign}y"} <= ends and f"{sign}z" not in ends for sign in "._"):
+                return FLAT
             shown = ", ".join(header[:4]) + (", …" if len(header) > 4 else "")
             return f"the first line ({shown[:80]}) is neither numbers nor names of joints or points"
         return f"line {rows[0].number} has {len(rows[0].fields)} columns"
@@ -152,7 +159,10 @@ def format_of(content: Content) -> Format:
     for form in reversed(list(FORMATS.values())):
         if form.detect(content):
             return form
-    raise ClipError(f"{content.problem()}; expected one of: {'; '.join(form.about for form in FORMATS.values())}")
+    problem = content.problem()
+    if problem != FLAT:
+        problem += f"; expected one of: {'; '.join(form.about for form in FORMATS.values())}"
+    raise ClipError(problem)
 
 
 def is_robot_motion(path: str | Path) -> bool:

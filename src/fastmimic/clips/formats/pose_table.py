@@ -21,14 +21,10 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
-from fastmimic.clips.formats.format import Content
+from fastmimic.clips.formats.format import FLAT, Content
 from fastmimic.clips.formats.points import Tracks, library, most_complete
 from fastmimic.clips.formats.text_table import Row, Table, read_table, to_array
 
-FLAT: Final = (
-    "these points lie in a picture (x and y, no z): triangulate the views of two calibrated cameras with Anipose,"
-    " sleap-anipose or DeepLabCut's 3D mode (deeplabcut.triangulate), and give the file of 3D points"
-)
 Column = tuple[str, str, str]
 """Individual (empty if the file names none), point, and coordinate: x, y, z or likelihood."""
 _ROTATION: Final = [f"M_{i}{j}" for i in range(3) for j in range(3)]
@@ -99,6 +95,8 @@ def is_deeplabcut(content: Content) -> bool:
 def read_hdf5(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no h5py, or points of a picture."""
     with library("h5py").File(io.BytesIO(data), "r") as file:
+        if {"instances", "points"} <= set(file):  # a project of SLEAP, .slp
+            raise ClipError(FLAT)
         return _sleap(file) if "tracks" in file else _deeplabcut(next(iter(file.values())))
 
 
@@ -121,12 +119,30 @@ def _sleap(file: Any) -> Tracks:
 
 
 def _deeplabcut(group: Any) -> Tracks:
-    """A data frame as pandas writes it with `format="table"`: columns of one type are a block."""
+    """A data frame as pandas writes it, with `format="table"` or "fixed": columns of one type are a block."""
+    if "table" not in group:
+        return _fixed(group)
     table = group["table"]
     blocks = [name for name in table.dtype.names if name.startswith("values_block")]
     labels = [label for block in blocks for label in _Labels(io.BytesIO(bytes(table.attrs[f"{block}_kind"]))).load()]
-    columns = [(label[-3] if len(label) > 3 else "", label[-2], label[-1]) for label in labels]
-    return tracks_of(columns, np.concatenate([np.asarray(table[block], dtype=float) for block in blocks], axis=1))
+    return tracks_of(_columns(labels), np.concatenate([np.asarray(table[block], float) for block in blocks], axis=1))
+
+
+def _fixed(group: Any) -> Tracks:
+    """A level of the columns' labels is a list of texts, and each column's place in it."""
+    blocks = [f"block{i}" for i in range(int(group.attrs["nblocks"]))]
+    labels: list[Sequence[str]] = []
+    for block in blocks:
+        levels = range(int(group.attrs[f"{block}_items_nlevels"]))
+        texts = [np.asarray(group[f"{block}_items_level{i}"]).astype(str) for i in levels]
+        labels += zip(*(texts[i][np.asarray(group[f"{block}_items_label{i}"])] for i in levels), strict=True)
+    values = [np.asarray(group[f"{block}_values"], float) for block in blocks]
+    return tracks_of(_columns(labels), np.concatenate(values, axis=1))
+
+
+def _columns(labels: Sequence[Sequence[str]]) -> list[Column]:
+    """From scorer, individual if there are several, point and coordinate."""
+    return [(str(label[-3]) if len(label) > 3 else "", str(label[-2]), str(label[-1])) for label in labels]
 
 
 class _Labels(pickle.Unpickler):
