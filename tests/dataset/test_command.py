@@ -15,6 +15,7 @@ from cli.running import Run
 from dataset.conftest import reproducible, same
 from fastmimic.dataset import MotionDataset
 from fastmimic.dataset.repair import check
+from fastmimic.episode.metrics import TRACKED
 from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR, SIMULATORS
 from searches import QUICK_COMMAND
 
@@ -64,9 +65,12 @@ def test_one_corrupt_clip_does_not_stop_the_others(run: Run, in_folder: Path) ->
 def test_list_and_show(library: Path, run: Run) -> None:
     listed = run("library", "list", library).out.splitlines()
     assert listed[0].split()[:3] == ["id", "name", "robot"]
+    assert "success  mpjpe, mm" in listed[0]
     assert [line.split()[1] for line in listed[1:3]] == ["pace", "trot"]
     rows = json.loads(run("library", "list", library, "--json", "--gait", "trot").out)["motions"]
     assert [row["name"] for row in rows] == ["trot"]
+    assert all(rows[0][name] > 0 for name in TRACKED)
+    assert f"{rows[0]['success_perturbed']:.0%}" in listed[2]
     shown = json.loads(run("library", "show", library, rows[0]["id"][:6], "--json").out)["motions"]
     assert shown == rows
     assert f"id {'':20} {rows[0]['id']}".split() == run("library", "show", library, "trot").out.splitlines()[0].split()

@@ -29,7 +29,7 @@ if TYPE_CHECKING:  # loads the compiler
 LibraryFolder = Annotated[Positional[Path], opt.option("LIBRARY", "Folder of the library.")]
 _LISTED: Final = (
     *("id", "name", "robot", "seed", "gait", "footfall", "grade"),
-    *("kept", "best", "reward_animal", "reward_mean", "reward_mean_robots", "lacks"),
+    *("kept", "best", "reward_animal", "reward_mean", "reward_mean_robots", "success_perturbed", "mpjpe_mm", "lacks"),
 )
 """Columns that a list shows or is filtered by."""
 
@@ -188,8 +188,8 @@ class ListMotions(_Choice):
         if self.json:
             put_json({"motions": chosen})
             return 0
-        head = ("id", "name", "robot", "seed", "gait", "grade", "animal", "reward", "others", "lacks")
-        put_table([head, *(_line(row) for row in chosen)], right=(6, 7, 8))
+        head = ("id", "name", "robot", "seed", "gait", "grade", "animal", "reward", "others", "success", "mpjpe, mm")
+        put_table([(*head, "lacks"), *(_line(row) for row in chosen)], right=range(6, 11))
         put_summary(library)
         plan = library.plan()
         put(*plan.problems)
@@ -374,7 +374,8 @@ def put_summary(library: "MotionDataset") -> None:
 
 def _line(row: "Row") -> tuple[str, ...]:
     gait = row["gait"] if row["footfall"] in (None, row["gait"]) else f"{row['gait']} ({row['footfall']})"
-    shown = ("reward_animal", "reward_mean", "reward_mean_robots")
-    rewards = ("" if row[name] is None else f"{row[name]:.3f}" for name in shown)
+    rewards = ("reward_animal", "reward_mean", "reward_mean_robots")
+    shown = (*((name, ".3f") for name in rewards), ("success_perturbed", ".0%"), ("mpjpe_mm", ".0f"))
+    figures = ("" if row[name] is None else format(row[name], form) for name, form in shown)
     about = (row["id"][:8], row["name"], row["robot"], str(row["seed"]))
-    return (*about, gait or "", row["grade"], *rewards, row["lacks"] or "")
+    return (*about, gait or "", row["grade"], *figures, row["lacks"] or "")
