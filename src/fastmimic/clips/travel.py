@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.errors import ClipError, unknown
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.clips.clip import Clip
 
@@ -24,7 +24,6 @@ _BACKWARDS: Final = 2.8  # weight of feet that move back over the ground
 _NEARBY_S: Final = 0.75
 _SWAY_S: Final = 0.2
 _SMOOTH_S: Final = 0.2
-_SMOOTH_TURN: Final = 1.0  # of a turn's changes, by how fast they move the feet; of the speed's, 1
 _ROUNDS: Final = 15
 _NO_HEADING_RAD: Final = 0.01  # standard deviation below which a heading was taken out: an animal's is above 0.02
 _LEAST_FLOW: Final = 0.5  # of the ground below the low feet of an animal on the spot, share of all feet's speed
@@ -46,9 +45,7 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
     recovers it where the recording lacks it, "recover" always, and "as-is" never; the clip's `assumed` says what was
     found. Raises `ClipError` for another word."""
     if travel not in TRAVEL:
-        raise ClipError(
-            f"travel is {', '.join(TRAVEL[:-1])} or {TRAVEL[-1]}, found '{travel}'{did_you_mean(travel, TRAVEL)}"
-        )
+        raise unknown("travel", travel, TRAVEL, ClipError)
     moving = _rms(np.gradient(clip.toes_w[..., :2], 1.0 / clip.rate_hz, axis=0))
     way = min(_speed(path, clip.rate_hz) for path in (_trunk(clip), clip.point("pelvis")[:, :2]))
     if travel == "as-is" or moving == 0 or (travel == "auto" and way > _LARGEST_WAY * moving):
@@ -64,10 +61,11 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
     if travel == "auto" and (flow < _LEAST_FLOW * moving or way > _LARGEST_WAY * flow):
         return recorded
     moved = _moved(clip, twist)
-    found = f"the way of the trunk ({_speed(_trunk(moved), clip.rate_hz):.2f} m/s) is recovered from the standing feet"
-    why = "" if travel == "recover" else ": they run back while the trunk stays where it is (--travel as-is keeps it)"
-    heading = ", and its heading too" if no_heading else ""
-    return replace(moved, meta=clip.meta | {"assumed": [*clip.meta.get("assumed", []), found + heading + why]})
+    way, heading = _speed(_trunk(moved), clip.rate_hz), " and its heading" if no_heading else ""
+    found = f"the way of the trunk{heading} ({way:.2f} m/s) is recovered from the standing feet"
+    if travel != "recover":
+        found += ": they run back while the trunk stays where it is (--travel as-is keeps it)"
+    return replace(moved, meta=clip.meta | {"assumed": [*clip.meta.get("assumed", []), found]})
 
 
 def _rms(vectors: Array, weight: Array | None = None) -> float:
@@ -126,7 +124,7 @@ def _smooth_fit(feet: _Feet, weight: Array, rate_hz: float) -> Array:
 
     matrix = np.einsum("tf,tfia,tfib->tab", weight, feet.rows, feet.rows)
     right = -np.einsum("tf,tfia,tfi->ta", weight, feet.rows, feet.velocity)
-    price = (_SMOOTH_S * rate_hz) ** 2 * np.array([1.0, 1.0, _SMOOTH_TURN * feet.size**2])
+    price = (_SMOOTH_S * rate_hz) ** 2 * np.array([1.0, 1.0, feet.size**2])
     matrix[:, [0, 1, 2], [0, 1, 2]] += 2.0 * price + np.maximum(1e-9, 1e-12 * price)  # also at 10 kHz definite
     matrix[[0, -1]] -= np.diag(price)  # which have one neighbour
     band = np.zeros((4, len(right), 3))  # the lower diagonals, frame by frame

@@ -27,9 +27,10 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.dataset.folder import MotionDataset, Row
 
 LibraryFolder = Annotated[Positional[Path], opt.option("LIBRARY", "Folder of the library.")]
+_FIGURES: Final = ("reward_animal", "reward_mean", "reward_mean_robots", "success_perturbed", "mpjpe_mm")
 _LISTED: Final = (
     *("id", "name", "robot", "seed", "gait", "footfall", "grade"),
-    *("kept", "best", "reward_animal", "reward_mean", "reward_mean_robots", "success_perturbed", "mpjpe_mm", "lacks"),
+    *("kept", "best", "lacks", *_FIGURES),
 )
 """Columns that a list shows or is filtered by."""
 
@@ -374,8 +375,7 @@ def put_summary(library: "MotionDataset") -> None:
 
 def _line(row: "Row") -> tuple[str, ...]:
     gait = row["gait"] if row["footfall"] in (None, row["gait"]) else f"{row['gait']} ({row['footfall']})"
-    rewards = ("reward_animal", "reward_mean", "reward_mean_robots")
-    shown = (*((name, ".3f") for name in rewards), ("success_perturbed", ".0%"), ("mpjpe_mm", ".0f"))
-    figures = ("" if row[name] is None else format(row[name], form) for name, form in shown)
+    forms = {"success_perturbed": ".0%", "mpjpe_mm": ".0f"}
+    figures = ("" if row[name] is None else format(row[name], forms.get(name, ".3f")) for name in _FIGURES)
     about = (row["id"][:8], row["name"], row["robot"], str(row["seed"]))
     return (*about, gait or "", row["grade"], *figures, row["lacks"] or "")

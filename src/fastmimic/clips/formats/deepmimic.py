@@ -133,10 +133,8 @@ def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Rob
         joints = joints * own.joint_sign**turned  # about the common axes, or those of the robot's file
         feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if columns[2] else feet
         apart = foot_positions(own, joints) - feet_b
-        root_b = apart.mean(axis=(0, 1))
-        distance = float(np.linalg.norm(root_b))
-        if not _ROOT_OFF_M[0] < distance < _ROOT_OFF_M[1]:
-            root_b = np.zeros(3)
+        distance = float(np.linalg.norm(root_b := apart.mean(axis=(0, 1))))
+        root_b = root_b if _ROOT_OFF_M[0] < distance < _ROOT_OFF_M[1] else np.zeros(3)
         off = float(np.sqrt(np.mean(np.sum((apart - root_b) ** 2, axis=-1))))
         if off < least - 1e-9:
             said = f"joints are the {own.name}'s, legs {title}: the feet in the file are {1e3 * off:.1f} mm off its"

@@ -82,7 +82,7 @@ class Content:
         return Counter(len(row.fields) for row in self.table.rows[:_ROWS_COUNTED])
 
     def problem(self) -> str:
-        """Describes content that no format recognises."""
+        """Describes content that no format recognises; raises `ClipError` for points of a picture."""
         if self.data.startswith(_ZIP_MAGIC):
             return "a zip archive without arrays"
         try:
@@ -99,7 +99,7 @@ class Content:
         if header is not None and not self.table.header_is_comment:
             ends = {name[-2:].lower() for name in header}
             if any({f"{sign}x", f"{sign}y"} <= ends and f"{sign}z" not in ends for sign in "._"):
-                return FLAT
+                raise ClipError(FLAT)
             shown = ", ".join(header[:4]) + (", …" if len(header) > 4 else "")
             return f"the first line ({shown[:80]}) is neither numbers nor names of joints or points"
         return f"line {rows[0].number} has {len(rows[0].fields)} columns"
@@ -159,10 +159,7 @@ def format_of(content: Content) -> Format:
     for form in reversed(list(FORMATS.values())):
         if form.detect(content):
             return form
-    problem = content.problem()
-    if problem != FLAT:
-        problem += f"; expected one of: {'; '.join(form.about for form in FORMATS.values())}"
-    raise ClipError(problem)
+    raise ClipError(f"{content.problem()}; expected one of: {'; '.join(form.about for form in FORMATS.values())}")
 
 
 def is_robot_motion(path: str | Path) -> bool:

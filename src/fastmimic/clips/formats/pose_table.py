@@ -95,15 +95,14 @@ def is_deeplabcut(content: Content) -> bool:
 def read_hdf5(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no h5py, or points of a picture."""
     with library("h5py").File(io.BytesIO(data), "r") as file:
-        if {"instances", "points"} <= set(file):  # a project of SLEAP, .slp
-            raise ClipError(FLAT)
-        return _sleap(file) if "tracks" in file else _deeplabcut(next(iter(file.values())))
+        is_sleap = "tracks" in file or "instances" in file  # those of a project, .slp
+        return _sleap(file) if is_sleap else _deeplabcut(next(iter(file.values())))
 
 
 def _sleap(file: Any) -> Tracks:
     """`tracks` is (tracks, 2, nodes, frames) in SLEAP's analysis files, and (frames, tracks, nodes, 3) in those of
     sleap-anipose, which do not name the nodes."""
-    tracks = np.asarray(file["tracks"], dtype=float)
+    tracks = np.asarray(file["tracks"], dtype=float) if "tracks" in file else np.zeros(0)
     if tracks.ndim == 4 and tracks.shape[1] == 3 != tracks.shape[3]:
         tracks = tracks.transpose(3, 0, 2, 1)
     if tracks.ndim != 4 or tracks.shape[3] != 3:
@@ -125,7 +124,7 @@ def _deeplabcut(group: Any) -> Tracks:
     table = group["table"]
     blocks = [name for name in table.dtype.names if name.startswith("values_block")]
     labels = [label for block in blocks for label in _Labels(io.BytesIO(bytes(table.attrs[f"{block}_kind"]))).load()]
-    return tracks_of(_columns(labels), np.concatenate([np.asarray(table[block], float) for block in blocks], axis=1))
+    return _framed(labels, [table[block] for block in blocks])
 
 
 def _fixed(group: Any) -> Tracks:
@@ -133,16 +132,15 @@ def _fixed(group: Any) -> Tracks:
     blocks = [f"block{i}" for i in range(int(group.attrs["nblocks"]))]
     labels: list[Sequence[str]] = []
     for block in blocks:
-        levels = range(int(group.attrs[f"{block}_items_nlevels"]))
-        texts = [np.asarray(group[f"{block}_items_level{i}"]).astype(str) for i in levels]
-        labels += zip(*(texts[i][np.asarray(group[f"{block}_items_label{i}"])] for i in levels), strict=True)
-    values = [np.asarray(group[f"{block}_values"], float) for block in blocks]
-    return tracks_of(_columns(labels), np.concatenate(values, axis=1))
+        for_level = [f"{block}_items_{{}}{i}".format for i in range(int(group.attrs[f"{block}_items_nlevels"]))]
+        labels += zip(*(group[of("level")].asstr()[()][group[of("label")][()]] for of in for_level), strict=True)
+    return _framed(labels, [group[f"{block}_values"] for block in blocks])
 
 
-def _columns(labels: Sequence[Sequence[str]]) -> list[Column]:
-    """From scorer, individual if there are several, point and coordinate."""
-    return [(str(label[-3]) if len(label) > 3 else "", str(label[-2]), str(label[-1])) for label in labels]
+def _framed(labels: Sequence[Sequence[str]], blocks: Sequence[Any]) -> Tracks:
+    """From labels of scorer, individual if there are several, point and coordinate."""
+    columns = [(label[-3] if len(label) > 3 else "", label[-2], label[-1]) for label in labels]
+    return tracks_of(columns, np.concatenate([np.asarray(block, dtype=float) for block in blocks], axis=1))
 
 
 class _Labels(pickle.Unpickler):
