@@ -97,6 +97,13 @@ def test_the_root_may_be_the_centre_of_mass(isaac: bool, tmp_path: Path) -> None
     assert any("its root is 12.9 mm from the robot's" in said for said in clip.meta["assumed"])
 
 
+def test_legs_that_are_a_little_shorter_are_not_taken_for_another_root(tmp_path: Path) -> None:
+    rows = frames(load_robot("a1"), 61, ISAAC)
+    rows[:, 21:31:3] *= 0.95  # by 12 mm
+    with pytest.raises(ClipError, match="joints belong to none of"):
+        read_clip(write(tmp_path / "shorter.txt", rows))
+
+
 def test_joints_may_turn_about_the_axes_of_the_robots_own_file(tmp_path: Path) -> None:
     robot = replace(load_robot("a1"), name="lite", joint_sign=np.tile([-1.0, -1.0, 1.0], 4))
     rows = frames(robot, 61, ISAAC)

@@ -47,7 +47,7 @@ LEG_LENGTH_M: Final = float(np.hypot(0.1422, 0.20833) + np.hypot(0.022, 0.25))  
 
 _ORDERS: Final = {"FR, FL, RR, RL": (0, 1, 2, 3), "FL, FR, RL, RR": (1, 0, 3, 2)}
 _MOST_OFF_M: Final = 0.01  # RMS; an A1's feet are 0.02 off with the lengths of a Go1's or a Go2's legs
-_ROOT_OFF_M: Final = (0.001, 0.015)  # distance of a centre of mass from the robot's root
+_ROOT_OFF_M: Final = (0.001, 0.005)  # from which on the file has another root, and its greatest height, or legs differ
 _LAYOUTS: Final = {61: ((7, 19, False),), 49: ((7, 19, False), (13, 37, True))}
 """For each number of columns: the first of the joints and of the feet, and whether the feet are in world axes."""
 
@@ -134,7 +134,7 @@ def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Rob
         feet_b = quat_rotate_inverse(quat_wxyz[:, None], feet) if columns[2] else feet
         apart = foot_positions(own, joints) - feet_b
         distance = float(np.linalg.norm(root_b := apart.mean(axis=(0, 1))))
-        root_b = root_b if _ROOT_OFF_M[0] < distance < _ROOT_OFF_M[1] else np.zeros(3)
+        root_b = root_b if distance > _ROOT_OFF_M[0] and abs(root_b[2]) < _ROOT_OFF_M[1] else np.zeros(3)
         off = float(np.sqrt(np.mean(np.sum((apart - root_b) ** 2, axis=-1))))
         if off < least - 1e-9:
             said = f"joints are the {own.name}'s, legs {title}: the feet in the file are {1e3 * off:.1f} mm off its"

@@ -95,14 +95,15 @@ def is_deeplabcut(content: Content) -> bool:
 def read_hdf5(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no h5py, or points of a picture."""
     with library("h5py").File(io.BytesIO(data), "r") as file:
-        is_sleap = "tracks" in file or "instances" in file  # those of a project, .slp
-        return _sleap(file) if is_sleap else _deeplabcut(next(iter(file.values())))
+        if "instances" in file:  # a project of SLEAP, .slp
+            raise ClipError(FLAT)
+        return _sleap(file) if "tracks" in file else _deeplabcut(next(iter(file.values())))
 
 
 def _sleap(file: Any) -> Tracks:
     """`tracks` is (tracks, 2, nodes, frames) in SLEAP's analysis files, and (frames, tracks, nodes, 3) in those of
     sleap-anipose, which do not name the nodes."""
-    tracks = np.asarray(file["tracks"], dtype=float) if "tracks" in file else np.zeros(0)
+    tracks = np.asarray(file["tracks"], dtype=float)
     if tracks.ndim == 4 and tracks.shape[1] == 3 != tracks.shape[3]:
         tracks = tracks.transpose(3, 0, 2, 1)
     if tracks.ndim != 4 or tracks.shape[3] != 3:
