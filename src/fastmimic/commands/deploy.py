@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from numpy.typing import NDArray
 from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.errors import ConfigError, DriverError, OutputError, unknown
@@ -73,12 +72,12 @@ class Deploy:
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), the folder of a run, a clip, a name from 'fastmimic motions', or "stand". A stitched
-    motion runs once. "steer": the robot goes at the velocities of --udp or --commands."""
+    motion runs once. "steer": the robot goes at the velocities of --udp, --topic or --commands."""
     driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {', '.join(DRIVERS)} (simulated).")]
     interface: Annotated[str | None, opt.option("NAME")] = None
     """Network interface of the robot. Default: lo, for a simulated one."""
     domain: Annotated[int | None, opt.option("N")] = None
-    """DDS domain of a Go2. Default: 0."""
+    """DDS domain of a Go2, and of --publish and --topic. Default: 0, for those two $ROS_DOMAIN_ID."""
     cycles: Annotated[int | None, opt.option("N")] = None
     """Number of cycles."""
     duration: opt.Seconds = None
@@ -106,6 +105,8 @@ class Deploy:
     """Folder of the results. Default: runs/deploy-MOTION-ROBOT-DRIVER, numbered if it exists."""
     log: Annotated[Path | None, opt.option("FILE.mcap")] = None
     """File of the log. Default: log.mcap in the folder."""
+    publish: opt.Flag = False
+    """Publish joint_states, joint_commands, odom and tf over DDS while it runs, for RViz, Foxglove and ROS 2 nodes."""
     json: opt.JsonFlag = False
     simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes]
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
@@ -121,7 +122,7 @@ class Deploy:
         name = opt.folder_name("deploy", motion.name, robot.name, self.driver)
         folder = self.out if self.out is not None else default_folder(opt.RUNS, name, resume=False)
         log = folder / LOG if self.log is None else opt.check_writable(self.log, ENDING)
-        with self.steered.opened() as commands, open_deployment(folder):
+        with self.steered.opened(self.interface, self.domain) as commands, open_deployment(folder):
             found = self._deploy(robot, motion, limits, policy, log, commands)
         written = self._write(found, motion, folder)
         self._report(found, log)
@@ -152,7 +153,7 @@ class Deploy:
                     "standard input is not a terminal, so nobody can confirm the start or stop the robot by a key;"
                     " --yes starts without"
                 )
-        elif self.interface is not None or self.domain is not None:
+        elif opt.given(self, "interface", "domain") and not (self.publish or self.steered.topic):
             raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {SIM}'")
 
     def _load(self) -> tuple[Robot, Motion]:
@@ -187,6 +188,7 @@ class Deploy:
     ) -> "Deployment":
         from fastmimic.deploy.deployment import DeployOptions, deploy
         from fastmimic.deploy.sequence import SteeredFollower, make_sequence
+        from fastmimic.deploy.state_machine import DeploymentPhase
 
         clock: LoopClock = VirtualClock() if self.simulated.lock_step else LoopClock()
         switch, ready, dry = StopSwitch(), None, self.dry_run
@@ -221,17 +223,25 @@ class Deploy:
         if commands is not None:
             stands = make_sequence(robot, motion, options.controller(motion)[1])
             follower = SteeredFollower(stands, self.steered.gaits(self.robot or robot.name), commands.velocity)
-        with slow_start() as started:
+        with slow_start() as started, self._publisher(robot) as publish:
 
-            def watch(machine: "StateMachine", command: NDArray[Any]) -> None:
+            def watch(machine: "StateMachine", row: Any) -> None:
                 nonlocal doing
-                if machine.doing != doing:
+                if machine.doing != doing and machine.phase is not DeploymentPhase.DONE:
                     started()
                     doing = machine.doing
                     note(doing)
+                publish(row)
 
             loop: dict[str, Any] = {"clock": clock, "switch": switch, "on_ready": ready, "watch": watch, "note": note}
             return deploy(motion, robot, driver, options, follower=follower, **loop)
+
+    def _publisher(self, robot: Robot) -> Any:
+        if not self.publish:
+            return nullcontext(lambda row: None)
+        from fastmimic.deploy.dds.ros import RosPublisher
+
+        return RosPublisher(robot, self.interface, self.domain)
 
     def _simulated(self, robot: Robot, clock: Any) -> RobotDriver:
         from fastmimic.deploy.sim import LinkFaults, SimDriver

@@ -283,19 +283,27 @@ class SteeredBy:
     Default: a built-in walk and trot."""
     udp: Annotated[int | None, option("PORT")] = None
     """UDP port of this machine to which velocities come, as JSON like ROS's geometry_msgs/Twist."""
+    topic: Annotated[str | None, option("NAME")] = None
+    """ROS 2 topic of geometry_msgs/Twist that velocities come from over DDS, e.g. cmd_vel."""
     commands: Annotated[Path | None, option("FILE.csv")] = None
     """File of velocities. Each line: time, s, forwards, to the left, m/s, turning to the left, rad/s."""
 
     @contextmanager
-    def opened(self) -> "Iterator[Commands | None]":
-        """Where the velocities come from, if from elsewhere."""
+    def opened(self, interface: str | None = None, domain: int | None = None) -> "Iterator[Commands | None]":
+        """Where the velocities come from, if from elsewhere; a topic by a network interface and in a DDS domain, those
+        of this computer's ROS 2 if None."""
         from fastmimic.steering.commands import CommandScript, CommandSocket
 
-        if self.udp is None:
+        if self.udp is not None:
+            with closing(CommandSocket(self.udp)) as receiver:
+                yield receiver
+        elif self.topic is not None:
+            from fastmimic.deploy.dds.ros import CommandTopic
+
+            with closing(CommandTopic(self.topic, interface, domain)) as topic:
+                yield topic
+        else:
             yield None if self.commands is None else CommandScript(self.commands)
-            return
-        with closing(CommandSocket(self.udp)) as receiver:
-            yield receiver
 
     def gaits(self, robot: str | None) -> "GaitField":
         """The gaits of a robot, by name or file; says how far it is when they are made."""
@@ -308,11 +316,11 @@ class SteeredBy:
 
     def check(self, steers: bool, others_steer: bool = True) -> None:
         """Raises `ConfigError` for options that nothing is steered by, or for too many or too few that say how."""
-        sources = given(self, "udp", "commands")
+        sources = given(self, "udp", "topic", "commands")
         if not steers and (unused := given(self)):
             raise ConfigError(f"{unused[0]} steers a robot; give '{STEER}' in place of a motion")
         if steers and len(sources) != 1 and (sources or not others_steer):
-            raise ConfigError("velocities come from --udp PORT or from --commands FILE.csv: give one of them")
+            raise ConfigError("velocities come from --udp PORT, --topic NAME or --commands FILE.csv: give one of them")
 
 
 def robot_name(robot: str | None, *sources: MotionSource) -> str:

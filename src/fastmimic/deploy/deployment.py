@@ -124,7 +124,7 @@ def deploy(
     clock: LoopClock | None = None,
     switch: StopSwitch | None = None,
     on_ready: Callable[[], bool] | None = None,
-    watch: Callable[[StateMachine, NDArray[Any]], None] | None = None,
+    watch: Callable[[StateMachine, Any], None] | None = None,
     note: Callable[[str], None] = lambda line: None,
 ) -> Deployment:
     """Makes a robot stand up, run a motion, and sit down.
@@ -136,7 +136,7 @@ def deploy(
         clock: the computer's if None. A simulated robot must have the same.
         switch: the operator's stop; keys and signals if None.
         on_ready: called when states arrive, before the first command; False cancels.
-        watch: called after each period with the state machine and its command.
+        watch: called after each period with the state machine and the period's record of `ROW`.
         note: takes lines for the operator.
 
     Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that the robot cannot

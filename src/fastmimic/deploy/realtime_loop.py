@@ -40,8 +40,8 @@ class Loop:
     reason: StopReason  # why it ends then
     switch: StopSwitch
     dry: bool = False  # whether nothing is sent
-    watch: Callable[[StateMachine, NDArray[Any]], None] | None = None
-    """Called at the end of each period with the machine and the command (1,) of `COMMAND`."""
+    watch: Callable[[StateMachine, Any], None] | None = None
+    """Called at the end of each period with the machine and its record of `ROW`."""
     note: Callable[[str], None] = lambda line: None  # takes lines for the operator
 
     def __post_init__(self) -> None:
@@ -176,8 +176,6 @@ class Loop:
         if done > self._deadline + self._dt:
             self._misses += 1
         self._deadline += self._dt
-        if self.watch is not None and machine.phase is not DeploymentPhase.DONE:
-            self.watch(machine, command)
         return violation
 
     def _read(self, timeout_s: float = 0.0) -> bool:
@@ -207,7 +205,10 @@ class Loop:
         control = (memory[name][0] for name in ("force", "solve_time", "early_touchdowns", "qp_failures"))
         flags = self._guard.cut, phase, fresh, moving, sent, memory["stance"][0]
         counts = done - received, read - received, state.sequence, *lost, self._misses, self._skipped
-        self.recorder.next_row()[0] = *spans, *counts, *followed, *records, *control, *flags
+        row = self.recorder.next_row()
+        row[0] = *spans, *counts, *followed, *records, *control, *flags
+        if self.watch is not None:
+            self.watch(machine, row[0])
 
     def _end(self, violation: Violation) -> LoopOutcome:
         """Crouches, if the reason allows, and damps the joints."""

@@ -59,14 +59,36 @@ class CommandScript:
         return None if row < 0 else np.array(self._rows[row, 1:])
 
 
-class CommandSocket:
+class ReceivedCommands:
+    """Velocities that another program sends."""
+
+    end_s: float | None = None
+
+    def __init__(self) -> None:
+        self._last, self._at = np.zeros(3), -math.inf
+
+    def received(self) -> list[Array]:
+        """The finite velocities (3,) that came since the last call, oldest first."""
+        raise NotImplementedError
+
+    def velocity(self, time_s: float) -> Array | None:
+        """The newest; zero, once, when none has come for `LOST_S`; None while none comes."""
+        for found in self.received():
+            self._last, self._at = found, time.monotonic()
+        if self._at == -math.inf:
+            return None
+        if time.monotonic() - self._at > LOST_S:
+            self._last, self._at = np.zeros(3), -math.inf
+        return self._last
+
+
+class CommandSocket(ReceivedCommands):
     """Receives velocities on a UDP port of this machine: a JSON object for each, as ROS has them in
     `geometry_msgs/Twist`, `{"linear": {"x": 0.5, "y": 0}, "angular": {"z": 0.2}}`; what is left out is 0. Raises
     `ConfigError` if the port cannot be opened."""
 
-    end_s: float | None = None
-
     def __init__(self, port: int) -> None:
+        super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -75,25 +97,20 @@ class CommandSocket:
             self._socket.close()
             raise ConfigError(f"UDP port {port} cannot be opened: {error}") from None
         self.port = int(self._socket.getsockname()[1])
-        self._last, self._at = np.zeros(3), -math.inf
 
     def close(self) -> None:
         self._socket.close()
 
-    def velocity(self, time_s: float) -> Array | None:
-        """The newest; zero, once, when none has come for `LOST_S`; None while none comes."""
+    def received(self) -> list[Array]:
+        found = []
         for _ in range(_MOST_MESSAGES):
             try:
                 message = self._socket.recv(_MOST_BYTES)
             except (BlockingIOError, ConnectionError):
                 break
-            if (found := read_twist(message)) is not None:
-                self._last, self._at = found, time.monotonic()
-        if self._at == -math.inf:
-            return None
-        if time.monotonic() - self._at > LOST_S:
-            self._last, self._at = np.zeros(3), -math.inf
-        return self._last
+            if (velocity := read_twist(message)) is not None:
+                found.append(velocity)
+        return found
 
 
 def read_twist(message: bytes) -> Array | None:

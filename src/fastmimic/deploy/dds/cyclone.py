@@ -42,9 +42,7 @@ def cyclone() -> ctypes.CDLL:
     try:
         from cyclonedds.internal import CycloneDDSLoaderException, load_cyclonedds
     except ImportError:
-        raise DriverError(
-            "the Go2's wire needs CycloneDDS, which is not installed: pip install 'fastmimic[go2]'"
-        ) from None
+        raise DriverError("DDS needs CycloneDDS, which is not installed: pip install 'fastmimic[go2]'") from None
     try:
         dds: ctypes.CDLL = load_cyclonedds()
     except CycloneDDSLoaderException as error:

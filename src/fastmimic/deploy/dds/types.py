@@ -2,6 +2,7 @@
 
 import ctypes
 import re
+from functools import cache
 from typing import Any, ClassVar, Final
 
 from fastmimic.base.files import packaged
@@ -11,7 +12,7 @@ DECLARED: Final = packaged("fastmimic.deploy.dds", "cyclone.json", dict[str, dic
 and flags (signed 8, floating point 4): dds/ddsc/dds_opcodes.h."""
 _PRIMITIVES: Final = {name: getattr(ctypes, kind) for name, (kind, *_) in DECLARED["primitives"].items()}
 _CODES: Final = {getattr(ctypes, kind): (code, flags) for kind, code, flags in DECLARED["primitives"].values()}
-_ADR, _SEQUENCE, _ARRAY, _END = 1 << 24, 7 << 16, 8 << 16, 0
+_ADR, _SEQUENCE, _ARRAY, _STRUCTURE, _END = 1 << 24, 7 << 16, 8 << 16, 10, 0
 _FIXED_SIZE: Final = 1 << 4
 
 
@@ -29,27 +30,32 @@ def structure(name: str) -> Any:
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
-Octets: Final = structure("dds_sequence_octet")
-"""An unbounded sequence of bytes."""
+@cache
+def sequence_of(element: Any) -> Any:
+    """The structure of an unbounded sequence."""
+    return type("Sequence", (structure("dds_sequence_t"),), {"element": element})
+
+
 _Descriptor: Final = structure("dds_topic_descriptor_t")
 """That of 0.10 and 11, without a description of the type for peers."""
 
 _TOKEN: Final = re.compile(r"module (\w+) {|struct (\w+) {([^}]*)}|}")
-_MEMBER: Final = re.compile(r"(\w[\w<> ]*?)\s+(\w+)(?:\[(\d+)\])?;")
+_MEMBER: Final = re.compile(r"(sequence<)?(\w[\w ]*?)>?\s+(\w+)(?:\[(\d+)\])?;")
 
 
 def messages_of(idl: str) -> dict[str, Any]:
     """The structures of an IDL as `Message` classes by their full names. It may contain modules, structures, comments,
-    `_PRIMITIVES`, `sequence<octet>` and arrays of one dimension."""
-    known: dict[str, Any] = {**_PRIMITIVES, "sequence<octet>": Octets}
+    `_PRIMITIVES`, unbounded sequences and arrays of one dimension."""
+    known: dict[str, Any] = dict(_PRIMITIVES)
     found, modules = {}, []
     for module, struct, body in _TOKEN.findall(re.sub(r"//.*", "", idl)):
         if module:
             modules.append(module)
         elif struct:
             fields = []
-            for kind, name, length in _MEMBER.findall(body):
-                fields.append((name, known[kind] * int(length) if length else known[kind]))
+            for sequence, kind, name, length in _MEMBER.findall(body):
+                element = sequence_of(known[kind]) if sequence else known[kind]
+                fields.append((name, element * int(length) if length else element))
             typename = "::".join([*modules, struct])
             known[struct] = found[typename] = type(struct, (Message,), {"_fields_": fields, "typename": typename})
         else:
@@ -65,8 +71,12 @@ def program(message: Any, offset: int = 0) -> list[int]:
         if kind in _CODES:
             code, flags = _CODES[kind]
             instructions += [_ADR | code << 16 | flags, at]
-        elif kind is Octets:
-            instructions += [_ADR | _SEQUENCE | 1 << 8, at]
+        elif hasattr(kind, "element"):
+            code, flags = _CODES.get(kind.element, (_STRUCTURE, 0))
+            instructions += [_ADR | _SEQUENCE | code << 8 | flags, at]
+            if code == _STRUCTURE:
+                inner = [*program(kind.element), _END]
+                instructions += [ctypes.sizeof(kind.element), 4 + len(inner) << 16 | 4, *inner]
         elif issubclass(kind, ctypes.Structure):
             instructions += program(kind, at)
         elif kind._type_ in _CODES:
@@ -82,8 +92,9 @@ def program(message: Any, offset: int = 0) -> list[int]:
 def fixed_size(message: Any) -> bool:
     """Whether the message has neither strings nor sequences."""
     kinds = [getattr(kind, "_type_", kind) if hasattr(kind, "_length_") else kind for _, kind in message._fields_]
-    nested = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, ctypes.Structure)]
-    return ctypes.c_char_p not in kinds and Octets not in nested and all(fixed_size(kind) for kind in nested)
+    if ctypes.c_char_p in kinds or any(hasattr(kind, "element") for kind in kinds):
+        return False
+    return all(fixed_size(kind) for kind in kinds if issubclass(kind, ctypes.Structure))
 
 
 def described(message: type[Message]) -> tuple[Any, Any]:
