@@ -250,6 +250,19 @@ def test_of_a_motion_done_once_no_cycle_and_no_drift_is_told(run: Path, page: Pa
     assert [key for key, *_ in Parsed(html).metrics if key == "drift_m_per_s.before"] == ["drift_m_per_s.before"]
 
 
+def test_of_a_take_it_runs_first_as_it_is(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", "trot", "--robot", "go2", "--frames", "0:40", "--discrete"]) == 0
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert json.loads((folder / "config.json").read_text())["arguments"]["robot"] == "go2"
+    assert "the motion is run once" in (folder / "report.html").read_text()
+    capsys.readouterr()
+    assert main(["report", str(run), "--robot", "go2"]) == 2
+    assert "belong to motions that are not run yet; drop them" in capsys.readouterr().err
+
+
 def test_without_viser_one_line_says_what_to_install(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -104,6 +104,10 @@ class Imitate(SearchRun):
     clip: opt.ClipReading
 
     def run(self) -> int:
+        return self.make()[1]
+
+    def make(self) -> tuple[Path, int]:
+        """The folder of the run, and the exit status."""
         opt.check_duration(self.duration)
         video = self.video.wanted
         method = self._method()
@@ -119,7 +123,7 @@ class Imitate(SearchRun):
             result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
             write_run(result, folder, config)
         clip = None if video is None else self.clip.animal(self.motion, robot)
-        return put_result(result, folder, self.search.iterations, video=video, clip=clip)
+        return folder.path, put_result(result, folder, self.search.iterations, video=video, clip=clip)
 
     def _method(self) -> str:
         """Name of the method that runs; raises `ConfigError` if the options do not fit it."""

@@ -166,30 +166,42 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
 @dataclass(frozen=True, kw_only=True)
 class WriteReport:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
-    'transfer': one self-contained file with the video, the figures before and after, and interactive plots.
+    'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip, a
+    motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'.
 
     The two nominal episodes of a run are simulated again for the plots and checked against its metrics.json. Needs
     Jinja2 and Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D
     replay.
     """
 
-    runs: Annotated[Positional[tuple[Path, ...]], opt.option("RUN ...")]
-    """Folders of runs."""
+    runs: Annotated[Positional[tuple[str, ...]], opt.option("RUN|MOTION ...")]
+    """Folders of runs, clips, robot motions (.npz), or names from 'fastmimic motions'."""
     out: Annotated[Path | None, opt.option("FILE.html")] = None
     """File of the report, for a single run. Default: report.html in its folder."""
+    robot: opt.RobotChoice = None
+    reading: opt.ClipReading
 
     def run(self) -> int:
         if not self.runs:
             raise ConfigError("report takes the folder of at least one run")
         if self.out is not None and len(self.runs) > 1:
             raise ConfigError(f"--out names one file, but {len(self.runs)} runs were given; drop it")
-        from fastmimic.report.html import REPORT, kind_of, make_report
+        from fastmimic.report.html import REPORT, kind_of, make_report, require_libraries
         from fastmimic.viewer.replay import recorded
 
-        for path in self.runs:
-            kind_of(path)  # refuses before anything is written
-        outs = [opt.check_writable(self.out or path / REPORT, ".html", ".htm") for path in self.runs]
-        for path, out in zip(self.runs, outs, strict=True):
+        folders = [Path(run) if Path(run).is_dir() else None for run in self.runs]
+        if None not in folders and (self.robot is not None or self.reading.overrides()):
+            raise ConfigError("--robot and how a clip is read belong to motions that are not run yet; drop them")
+        require_libraries()
+        for run, path in zip(self.runs, folders, strict=True):  # refuses before anything is written
+            if path is None:
+                self.reading.animal(run, opt.choose_robot(self.robot, find_motion(run)))
+            else:
+                kind_of(path)
+        outs = [opt.check_writable(self.out or (path or Path()) / REPORT, ".html", ".htm") for path in folders]
+        for run, found, out in zip(self.runs, folders, outs, strict=True):
+            path = found or self._ran(run)
+            out = out if found or self.out else path / REPORT
             with slow_start():
                 report = make_report(path, recorded)
             for line in report.missing:
@@ -197,6 +209,21 @@ class WriteReport:
             report.save(out)
             put(f"report in {out}")
         return 0
+
+    def _ran(self, motion: str) -> Path:
+        """The folder of a run of a motion as it is."""
+        from fastmimic.commands.imitate import Imitate
+
+        command = Imitate(
+            motion=motion,
+            robot=self.robot,
+            no_optimize=True,
+            search=opt.SearchOptions(),
+            folder=opt.FolderOptions(),
+            video=opt.VideoOptions(),
+            clip=self.reading,
+        )
+        return command.make()[0]
 
 
 @dataclass(frozen=True, kw_only=True)

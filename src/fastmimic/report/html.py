@@ -44,13 +44,18 @@ def kind_of(folder: str | Path) -> str:
     )
 
 
+def require_libraries() -> None:
+    """Raises `ConfigError` without Jinja2."""
+    if importlib.util.find_spec("jinja2") is None:
+        raise ConfigError("the report needs Jinja2, which is not installed: pip install 'fastmimic[report]'")
+
+
 def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | None" = None) -> "HtmlReport":
     """Makes the page of a folder, of a kind that `kind_of` knows. A run's two episodes are simulated again, and
     `replay` makes a self-contained HTML page that plays them in 3D, or raises `FastMimicError`. Raises `ConfigError`
     for another folder, figures that cannot be read, or without Jinja2 or Plotly."""
     path, kind = Path(folder), kind_of(folder)
-    if importlib.util.find_spec("jinja2") is None:
-        raise ConfigError("the report needs Jinja2, which is not installed: pip install 'fastmimic[report]'")
+    require_libraries()
     from fastmimic.report import html_comparison, html_deployment, html_run
 
     if kind == "run":
