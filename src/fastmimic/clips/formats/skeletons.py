@@ -96,18 +96,15 @@ def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
                 channels = tuple(words[:count])
                 del words[:count]
                 if len(channels) != count or not set(channels) <= set(_CHANNELS) or len(set(channels)) != count:
-                    raise ClipError(
-                        f"line {number}: expected {count} different channels of {', '.join(_CHANNELS)}; found"
-                        f" {' '.join(channels)[:60]}"
-                    )
+                    expected = f"{count} different channels of {', '.join(_CHANNELS)}"
+                    raise ClipError(f"line {number}: expected {expected}; found {' '.join(channels)[:60]}")
                 joints[above[-1]].channels, joints[above[-1]].first = channels, columns
                 columns += count
             elif word == "MOTION" and joints and not above and opening is None:
                 return joints
             else:
-                raise ClipError(
-                    f"line {number}: '{' '.join([word, *words])[:40]}' is not expected in a BVH's hierarchy there"
-                )
+                found = " ".join([word, *words])[:40]
+                raise ClipError(f"line {number}: '{found}' is not expected in a BVH's hierarchy there")
     raise ClipError("the file ends within the hierarchy: there is no line MOTION")
 
 
