@@ -123,10 +123,8 @@ def _columns(header: list[str] | None) -> tuple[list[int], list[str]]:
         found = [c for c, column in enumerate(plain) if column in spellings]
         if len(found) != 1:
             problem = "no column" if not found else f"{len(found)} columns ({', '.join(plain[c] for c in found)})"
-            raise ClipError(
-                f"the header has {problem} for {name}, e.g. '{sorted(spellings)[0]}'"
-                f"{did_you_mean(name.lower(), plain)} (found: {', '.join(plain)[:300]})"
-            )
+            hint = f"e.g. '{sorted(spellings)[0]}'{did_you_mean(name.lower(), plain)}"
+            raise ClipError(f"the header has {problem} for {name}, {hint} (found: {', '.join(plain)[:300]})")
         columns.append(found[0])
     return columns, plain
 

@@ -132,10 +132,8 @@ class Format:
         if options.point_map is not None and "point_map" not in self.takes:
             raise ClipError(f"a point map does not apply to {self.about}; leave it out")
         if options.up not in (None, "z") and "up" not in self.takes:
-            raise ClipError(
-                f"{options.up} up does not apply to {self.about}: its trunk orientation is defined with z up;"
-                " convert the file, or leave the vertical axis out"
-            )
+            said = f"{options.up} up does not apply to {self.about}: its trunk orientation is defined with z up"
+            raise ClipError(f"{said}; convert the file, or leave the vertical axis out")
         given: dict[str, Any] = {name: getattr(options, name) for name in self.takes}
         return self.parse(content.data if self.binary else content.text, **given)
 

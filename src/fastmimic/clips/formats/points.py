@@ -123,10 +123,8 @@ def _unit(points: Array) -> tuple[float, str]:
     legs = float(np.mean(np.linalg.norm(points[:, 2:6] - points[:, 6:10], axis=-1)))
     factor, name = next(((factor, name) for least, factor, name in _UNITS if legs > least), (1.0, "metres"))
     if not factor:
-        raise ClipError(
-            f"the legs are {legs:.0f} units long, more than any animal's in millimetres; pixels have no unit of length:"
-            " triangulate in that of the calibration board"
-        )
+        said = f"the legs are {legs:.0f} units long, more than any animal's in millimetres"
+        raise ClipError(f"{said}; pixels have no unit of length: triangulate in that of the calibration board")
     return factor, name
 
 

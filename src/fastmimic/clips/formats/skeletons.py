@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
@@ -220,9 +219,7 @@ def _sampled(times: Array, keys: Array, values: Array, how: str) -> Array:
     return np.asarray(value[i] + s * (value[i + 1] - value[i]))
 
 
-def _positions(
-    nodes: Sequence[Any], parents: Sequence[int], moved: dict[tuple[int, str], Array], n: int
-) -> NDArray[np.float64]:
+def _positions(nodes: Sequence[Any], parents: Sequence[int], moved: dict[tuple[int, str], Array], n: int) -> Array:
     """Positions of all nodes in the scene, (t, k, 3)."""
     matrices: dict[int, Array] = {}
 
