@@ -60,7 +60,7 @@ def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion)
     place["pose"][0, 2] = yaw_from_quat(table["root_quat"][0])
     place["pose"][0, :2] = table["root_pos"][0, :2]
     for sample in range(trot.n_samples // 2 + 20):  # beyond half a cycle every foot has lifted off and landed
-        stream.fill(course, None, place, row)
+        stream.fill(course, course, place, row)
         want, pose = table[sample], place["pose"][0]
         np.testing.assert_allclose(pose[:2], want["root_pos"][:2], atol=1e-9)
         quat = quat_multiply(quat_from_yaw(pose[2]), row["root_quat"][0])
@@ -71,7 +71,7 @@ def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion)
         np.testing.assert_allclose(row["foot_pos"][0], want["foot_pos"], atol=1e-6)
         np.testing.assert_allclose(row["joint_pos"][0], want["joint_pos"], atol=1e-5)
         np.testing.assert_array_equal(row["contact"][0], want["contact"])
-        stream.advance(course, None, place, np.zeros(2))
+        stream.advance(course, course, place, np.zeros(2))
 
 
 def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library: MotionSet) -> None:

@@ -85,9 +85,8 @@ class ParameterInfo:
 
 def parameter(default: Any, *, above: float | None = None, low: float | None = 0.0, **known: Any) -> Any:
     """A dataclass field with its `ParameterInfo`: `known` are its attributes. By default no number may be negative."""
-    return dataclasses.field(
-        default=default, metadata={_KEY: ParameterInfo(low=low if above is None else None, above=above, **known)}
-    )
+    info = ParameterInfo(low=low if above is None else None, above=above, **known)
+    return dataclasses.field(default=default, metadata={_KEY: info})
 
 
 def parse_pair(text: str, form: str, takes: str) -> tuple[int, int]:
@@ -139,10 +138,11 @@ def pack(settings: Any, record: np.ndarray, scales: Mapping[str, float] | None =
         record[key] = np.multiply(value, scales[known.scale]) if known.scale and scales is not None else value
 
 
-def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:
+def changed(settings: _Kind, changes: Mapping[str, Any], where: str) -> _Kind:
     """A settings dataclass with some fields changed, as read from a file; `changes` are nested like the settings.
     Raises `ConfigError`, beginning with `where`, for an unknown field, or a value of another kind or out of range."""
-    present = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    given: Any = settings
+    present = {field.name: getattr(given, field.name) for field in dataclasses.fields(given)}
     new: dict[str, Any] = {}
     for name, value in changes.items():
         if name not in present:
@@ -153,7 +153,7 @@ def changed(settings: Any, changes: Mapping[str, Any], where: str) -> Any:
             new[name] = changed(present[name], value, f"{where}: {name}")
         else:
             raise ConfigError(f"{where}: '{name}' must be an object with the fields of {type(present[name]).__name__}")
-    return dataclasses.replace(settings, **new)
+    return dataclasses.replace(given, **new)
 
 
 def _like(present: Any, value: Any, where: str) -> Any:

@@ -9,29 +9,26 @@ from typing import Any
 import numpy as np
 
 
-def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+def kernel(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
     """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine). It
-    may not allocate: no references are counted. `NUMBA_DISABLE_JIT=1` runs the Python code, for debugging."""
-    return _compiled(function)
-
-
-def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Like `kernel`, for small functions that LLVM should inline into their callers."""
-    return _compiled(function, forceinline=True)
-
-
-def object_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Like `kernel`, for functions that call Python (`numba.objmode`)."""
-    return _compiled(function, _nrt=True)
-
-
-def _compiled(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
+    may not allocate: no references are counted. `NUMBA_DISABLE_JIT=1` runs the Python code, for debugging. `changed`
+    are other options of Numba's."""
     from numba import njit  # slow to import; modules that only need `record_dtype` do without
 
     _collect_no_garbage_meanwhile()
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
     lean = {"no_cfunc_wrapper": True, "_nrt": False}  # neither function pointers nor reference counts: less to compile
     return _stale_with_callees(njit(**options | lean | changed)(function))
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Like `kernel`, for small functions that LLVM should inline into their callers."""
+    return kernel(function, forceinline=True)
+
+
+def object_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Like `kernel`, for functions that call Python (`numba.objmode`)."""
+    return kernel(function, _nrt=True)
 
 
 @functools.cache

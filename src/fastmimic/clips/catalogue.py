@@ -147,10 +147,8 @@ def _recording(name: str, folder: str | Path | None) -> Path:
     motion = RECORDED[name]
     path = find_file(motion.dataset, motion.file, folder)
     if path is None:
-        raise ClipError(
-            f"'{name}' needs {motion.dataset}/{motion.file}, which is not in {data_folder(folder)}:"
-            " run 'fastmimic data fetch', or set FASTMIMIC_DATA to a folder that has it"
-        )
+        said = f"'{name}' needs {motion.dataset}/{motion.file}, which is not in {data_folder(folder)}"
+        raise ClipError(f"{said}: run 'fastmimic data fetch', or set FASTMIMIC_DATA to a folder that has it")
     return path
 
 

@@ -21,9 +21,7 @@ class Skeleton:
 
 
 KEYPOINTS: Final = Skeleton(
-    10,
-    ((0, 1), (1, 2), (1, 3), (0, 4), (0, 5), (2, 6), (3, 7), (4, 8), (5, 9)),
-    (0.075, *4 * (0.045,), *4 * (0.026,)),
+    10, ((0, 1), (1, 2), (1, 3), (0, 4), (0, 5), (2, 6), (3, 7), (4, 8), (5, 9)), (0.075, *4 * (0.045,), *4 * (0.026,))
 )
 """Of the ten points of `POINT_NAMES`: trunk, girdles, and a straight line for each leg."""
 
@@ -50,10 +48,8 @@ POINT_NAMES: Final = ("pelvis", "neck", *(f"{leg}_hip" for leg in LEGS), *(f"{le
 
 def not_in_clip(frames: tuple[int, int], n_frames: int) -> ClipError:
     """The error for frames (first, end) that a clip does not have."""
-    return ClipError(
-        f"frames {frames[0]}:{frames[1]} are not in this clip of {n_frames} frames"
-        f" (0-based, end exclusive: 0:{n_frames} is all of it)"
-    )
+    said = f"frames {frames[0]}:{frames[1]} are not in this clip of {n_frames} frames"
+    return ClipError(f"{said} (0-based, end exclusive: 0:{n_frames} is all of it)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +95,8 @@ class Clip:
             raise ClipError(f"frame rate must be positive, found {self.rate_hz}")
         if self.root_quat_wxyz is not None and self.root_quat_wxyz.shape != (shape[0], 4):
             raise ClipError(f"trunk quaternions have shape {self.root_quat_wxyz.shape}; expected ({shape[0]}, 4)")
-        if self.drawn_w.shape != (shape[0], self.skeleton.points, 3):
-            raise ClipError(
-                f"the skeleton's points have shape {self.drawn_w.shape}; expected"
-                f" ({shape[0]}, {self.skeleton.points}, 3)"
-            )
+        if self.drawn_w.shape != (drawn := (shape[0], self.skeleton.points, 3)):
+            raise ClipError(f"the skeleton's points have shape {self.drawn_w.shape}; expected {drawn}")
 
     @property
     def n_frames(self) -> int:

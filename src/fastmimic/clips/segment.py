@@ -188,10 +188,8 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
         return [as_one_cycle(clip, config)]
     fewest = 2 * math.ceil(config.shortest_s * clip.rate_hz)
     if clip.n_frames < fewest:
-        raise ClipError(
-            f"{clip.n_frames} frames at {clip.rate_hz:g} Hz are too few to find cycles in; two cycles of"
-            f" {config.shortest_s:g} s are {fewest} frames"
-        )
+        said = f"{clip.n_frames} frames at {clip.rate_hz:g} Hz are too few to find cycles in"
+        raise ClipError(f"{said}; two cycles of {config.shortest_s:g} s are {fewest} frames")
     if config.shortest_s * clip.rate_hz < 6:
         raise ClipError(f"{clip.rate_hz:g} frames a second are too few for cycles of {config.shortest_s:g} s")
     take = take_of(clip, config)
@@ -306,15 +304,11 @@ def _merged(pieces: list[_Piece], config: SegmentConfig) -> list[_Piece]:
 def _joined(a: _Piece, b: _Piece) -> _Piece:
     na, nb = a.end - a.start, b.end - b.start
     w = na / (na + nb)
-
-    def mean(x: float, y: float) -> float:
-        return w * x + (1 - w) * y
-
+    pairs = (a.period, b.period), (a.speed, b.speed), (a.yaw, b.yaw)
+    period, speed, yaw = (w * x + (1 - w) * y for x, y in pairs)
     # phases relative to the first leg do not drift if the period is slightly wrong
     legs = a.legs * np.conj(a.legs[0]) / abs(a.legs[0]) + b.legs * np.conj(b.legs[0]) / abs(b.legs[0])
-    return _Piece(
-        a.start, b.end, mean(a.period, b.period), mean(a.speed, b.speed), mean(a.yaw, b.yaw), np.asarray(legs)
-    )
+    return _Piece(a.start, b.end, period, speed, yaw, np.asarray(legs))
 
 
 def _segment(take: _Take, piece: _Piece, track: NDArray[np.int64]) -> Segment:

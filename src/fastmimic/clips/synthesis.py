@@ -115,19 +115,15 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
 def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[Array, Array]:
     """Middle of the neck–pelvis line (t, 3) and the trunk's orientation (t, 4)."""
     xy, heading = planar_exp(twist, share)
-    left = 2 * np.pi * (share - _middle_of_stance(spec, left=True))
-    front = 2 * np.pi * spec.bob_harmonic * (share - _middle_of_stance(spec, left=False))
+    # from mid-stance of the left hind leg, which is on the loaded side, and of the right front leg
+    left = 2 * np.pi * (share - (spec.phase[3] + spec.duty / 2))
+    front = 2 * np.pi * spec.bob_harmonic * (share - (spec.phase[0] + spec.duty / 2))
     sway = spec.sway * animal * np.cos(left)
     xy = xy + rotate_planar(heading, np.stack([np.zeros_like(sway), sway], axis=-1))
     z = ROOT_HEIGHT - spec.bob * animal * np.cos(front)  # lowest in the middle of a stance
     roll, pitch = -spec.roll * np.cos(left - 0.4), spec.pitch * np.cos(front - 0.6)  # the standing side is down
     quat = trunk_quaternion(heading + spec.yaw * np.sin(left), np.stack([roll, pitch], axis=-1))
     return np.concatenate([xy, z[:, None]], axis=1), quat
-
-
-def _middle_of_stance(spec: GaitSpec, left: bool) -> float:
-    """Phase of mid-stance of the left hind leg (on the loaded side), or of the right front leg."""
-    return spec.phase[3 if left else 0] + spec.duty / 2
 
 
 def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) -> Array:

@@ -13,6 +13,7 @@ A file names a set ("default" if absent) and the changes to it; "identified" is 
 import dataclasses
 import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -26,14 +27,13 @@ from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import packaged, read_json
 from fastmimic.base.jit import record_dtype
 from fastmimic.base.text import plain
-from fastmimic.reference.regulator_config import RegulatorConfig
+from fastmimic.reference.regulator_config import RegulatorConfig, Vector3
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import combined, joint_ratio, length_ratio, mass_ratio
 
 FILE_FORMAT: Final = {"format": "fastmimic controller", "version": 1}
 
 Vector6 = tuple[float, float, float, float, float, float]
-Vector3 = tuple[float, float, float]
 
 MAX_HORIZON_STEPS: Final = 20
 
@@ -169,36 +169,30 @@ class ControllerConfig:
     @classmethod
     def from_dict(cls, record: Any) -> "ControllerConfig":
         """Inverse of `as_dict`; raises `ConfigError` if the record is damaged or of another release."""
-        try:
-            config: ControllerConfig = changed(cls(), record, "controller")
-            complete = plain(config.as_dict()) == plain(record)
-        except (ConfigError, TypeError, AttributeError):
-            complete = False
-        if not complete:
-            raise ConfigError("the controller's parameters are those of another release")
-        return config
+        with suppress(ConfigError, TypeError, AttributeError):
+            config = changed(cls(), record, "controller")
+            if plain(config.as_dict()) == plain(record):
+                return config
+        raise ConfigError("the controller's parameters are those of another release")
 
 
 def _rules(config: ControllerConfig) -> tuple[tuple[bool, str], ...]:
     """(ok, message) of each rule for several values together; the horizon's rates matter only where it is used."""
     gait, stance, horizon = config.gait, config.stance, config.horizon
     rate_hz, used, ratio = config.rate_hz, stance.forces == "horizon", config.rate_hz / horizon.solve_rate_hz
+    whole = ratio >= 1 - 1e-9 and abs(ratio - round(ratio)) < 1e-6
+    solved = f"rate_hz = {rate_hz:g} or a whole fraction of it, not {horizon.solve_rate_hz:g}"
+    long_enough = horizon.step_s * rate_hz >= 1 - 1e-9
+    weighed = any(w > 0 for w in (*horizon.position_weight, *horizon.velocity_weight))
     return (
         (gait.release_threshold <= gait.contact_threshold, "gait.release_threshold must be in [0, contact_threshold]"),
         (stance.min_force < stance.max_force, "stance.min_force must be in [0, max_force)"),
         (
-            not used or horizon.step_s * rate_hz >= 1 - 1e-9,
+            not used or long_enough,
             f"horizon.step_s must be at least one control step, {1 / rate_hz:g} s, not {horizon.step_s:g}",
         ),
-        (
-            not used or (ratio >= 1 - 1e-9 and abs(ratio - round(ratio)) < 1e-6),
-            f"horizon.solve_rate_hz must be rate_hz = {rate_hz:g} or a whole fraction of it, not"
-            f" {horizon.solve_rate_hz:g}",
-        ),
-        (
-            any(w > 0 for w in (*horizon.position_weight, *horizon.velocity_weight)),
-            "horizon.position_weight and velocity_weight must not all be 0",
-        ),
+        (not used or whole, f"horizon.solve_rate_hz must be {solved}"),
+        (weighed, "horizon.position_weight and velocity_weight must not all be 0"),
     )
 
 
@@ -229,8 +223,7 @@ def read_config(path: str | Path) -> ControllerConfig:
     base = found.get("base", "default")
     if not isinstance(base, str) or base not in CONFIGS:
         raise ConfigError(f"{path}: {unknown('base', str(base), CONFIGS)}")
-    config: ControllerConfig = changed(CONFIGS[base], {"name": Path(path).name, **changes}, str(path))
-    return config
+    return changed(CONFIGS[base], {"name": Path(path).name, **changes}, str(path))
 
 
 _PACKED: Final = (ControllerConfig, GaitConfig, StanceConfig, HorizonConfig, SwingConfig)
@@ -241,12 +234,8 @@ _RECORD: Final = record_dtype(
 
 def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     """(1,) structured array for the kernels, scaled to the robot."""
-    scales = {
-        "weight": robot.mass * GRAVITY,
-        "joint": joint_ratio(robot),
-        "force_weight": mass_ratio(robot) ** 2,
-        "length": length_ratio(robot),
-    }
+    scales = {"weight": robot.mass * GRAVITY, "force_weight": mass_ratio(robot) ** 2}
+    scales |= {"joint": joint_ratio(robot), "length": length_ratio(robot)}
     record = np.zeros(1, _RECORD)
     for part in (config, config.gait, config.stance, config.horizon, config.swing):
         pack(part, record, scales)
@@ -266,6 +255,5 @@ def loaded_robot(robot: Robot, load: LoadConfig) -> Robot:
     place, point = np.array(load.position), np.zeros((3, 3))
     mass, com_b, inertia_b = combined([(robot.mass, robot.com_b, robot.inertia_b), (load.mass, place, point)])
     trunk_mass, trunk_com_b, _ = combined([(robot.trunk_mass, robot.trunk_com_b, point), (load.mass, place, point)])
-    return dataclasses.replace(
-        robot, mass=mass, com_b=com_b, inertia_b=inertia_b, trunk_mass=trunk_mass, trunk_com_b=trunk_com_b
-    )
+    whole = dataclasses.replace(robot, mass=mass, com_b=com_b, inertia_b=inertia_b)
+    return dataclasses.replace(whole, trunk_mass=trunk_mass, trunk_com_b=trunk_com_b)

@@ -14,14 +14,7 @@ from fastmimic.control.config import ControllerConfig, StanceConfig, loaded_robo
 from fastmimic.control.footing import feel_slides, see_ground
 from fastmimic.control.horizon import HORIZON_CONSTRAINTS, HORIZON_VARIABLES, PLAN, plan_forces, track_plan
 from fastmimic.control.horizon_preview import FORESIGHT
-from fastmimic.control.joint_commands import (
-    add_leg_dynamics,
-    clip_command,
-    compensate_friction,
-    lift_off,
-    stance_leg,
-    swing_leg,
-)
+from fastmimic.control.joint_commands import add_leg_dynamics, finish_leg, lift_off, stance_leg, swing_leg
 from fastmimic.control.native import make_workspace, seconds_now
 from fastmimic.control.recovery import LEAVES, NO_RECOVERY, begin_or_end_recovery, recovery_gaits
 from fastmimic.control.stance import MAX_CONSTRAINTS, MAX_VARIABLES, begin_legs, plan_leg, stance_forces
@@ -129,8 +122,11 @@ def control_step(
         regulate(config, ref, gain, memory, scratch)
         planned = False
         if foresights is not None:
-            foresight, plan_qp = foresights[0], plan_qps[0]
-            planned = _plan_ahead(config, model, table, clock, obs, memory, scratch, plans[i], gain, foresight, plan_qp)
+            plan, ahead = plans[i], foresights[0]
+            _plan_ahead(config, model, table, clock, obs, memory, scratch, plan, ahead, plan_qps[0])
+            planned = plan.valid == 1
+            if planned:
+                _follow_plan(config, obs, memory, scratch, plan, gain, ahead)
         solved = _forces(config, model, ref, gain, memory, planned, scratch, qps[0])
         expect_acceleration(model, memory, scratch)
         for leg in range(4):
@@ -139,9 +135,7 @@ def control_step(
             else:
                 swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
             add_leg_dynamics(config, model, obs, memory, command, scratch, leg)
-            for j in range(3 * leg, 3 * leg + 3):
-                compensate_friction(model, command, j)
-                clip_command(config, model, command, j)
+            finish_leg(config, model, command, leg)
         if memory.recovering > 0:
             for _ in range(steps_due(own, trot.shape[0], memory.haste, trot)):
                 advance_clock(own, trot.shape[0], obs.root_pos[0], obs.root_pos[1], trot)
@@ -179,34 +173,25 @@ def _forces(config: Any, model: Any, ref: Any, gain: Any, memory: Any, planned: 
 
 @kernel
 def _plan_ahead(
-    config: Any,
-    model: Any,
-    table: Any,
-    clock: Any,
-    obs: Any,
-    memory: Any,
-    scratch: Any,
-    plan: Any,
-    gain: Any,
-    foresight: Any,
-    qp: Any,
-) -> bool:
-    """Plans at the planning rate and at the start of a cycle, where the reference may jump; False without a plan. ẍ_des
-    then follows the plan; if every control step is planned, the forces do, too."""
+    config: Any, model: Any, table: Any, clock: Any, obs: Any, memory: Any, scratch: Any, plan: Any, ahead: Any, qp: Any
+) -> None:
+    """Plans at the planning rate and at the start of a cycle, where the reference may jump."""
     plan.age += 1
     memory.solve_time = 0.0
     if plan.valid == 0 or plan.age >= config.horizon_interval or table[clock.sample].sync == 1:
-        began = seconds_now(foresight.time)
-        plan_forces(config, model, table, clock, obs, memory, scratch, plan, foresight, qp)
-        memory.solve_time = seconds_now(foresight.time) - began
-    if plan.valid == 0:
-        return False
-    track_plan(config, obs, plan, gain, scratch.state, foresight, scratch.desired)
+        began = seconds_now(ahead.time)
+        plan_forces(config, model, table, clock, obs, memory, scratch, plan, ahead, qp)
+        memory.solve_time = seconds_now(ahead.time) - began
+
+
+@kernel
+def _follow_plan(config: Any, obs: Any, memory: Any, scratch: Any, plan: Any, gain: Any, ahead: Any) -> None:
+    """ẍ_des follows the plan; if every control step is planned, the forces do, too."""
+    track_plan(config, obs, plan, gain, scratch.state, ahead, scratch.desired)
     if config.horizon_interval == 1:
         for leg in range(4):
             copy(plan.force[0, leg], memory.force[leg])
         memory.failed_in_a_row = 0
-    return True
 
 
 @inlined
@@ -243,9 +228,8 @@ class Controller:
         another rate or neither 1 nor n, or the config is for another robot; `MotionError` if they differ in length."""
         self.config = config if config is not None else ControllerConfig()
         if self.config.robot not in ("", robot.name):
-            raise ConfigError(
-                f"controller configuration '{self.config.name}' is for robot '{self.config.robot}', not '{robot.name}'"
-            )
+            own = f"controller configuration '{self.config.name}' is for robot '{self.config.robot}'"
+            raise ConfigError(f"{own}, not '{robot.name}'")
         robot = loaded_robot(robot, self.config.load)
         if len(motions) not in (1, n):
             raise ConfigError(f"{n} robots need 1 or {n} references, found {len(motions)}")

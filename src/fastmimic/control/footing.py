@@ -82,12 +82,10 @@ def _assume(ref: Any, memory: Any, scratch: Any) -> None:
 @inlined
 def _fit(memory: Any, obs: Any, share: float) -> None:
     """The plane through the last footholds, followed by a `share` of what it has changed."""
-    x = y = z = 0.0
+    x, y, z, n = 0.0, 0.0, 0.0, 0
     for leg in range(4):
         if memory.grounded == 0 and memory.stance[leg] == 0:  # it may be in the air
             memory.foothold[leg, 2] = np.nan
-    n = 0
-    for leg in range(4):
         if not np.isnan(memory.foothold[leg, 2]):
             x, y, z, n = x + memory.foothold[leg, 0], y + memory.foothold[leg, 1], z + memory.foothold[leg, 2], n + 1
     if n == 0:
@@ -171,9 +169,8 @@ def feel_slides(config: Any, model: Any, obs: Any, memory: Any, scratch: Any) ->
         memory.slid[leg] = memory.slid[leg] + config.dt * speed if speed > SLIDE_M_S else 0.0
         slides = slides or memory.slid[leg] > SLIDE_M
     if slides:
-        memory.friction = max(
-            memory.friction * (1.0 - config.dt / config.friction_time), min(LEAST_FRICTION, config.mu)
-        )
+        lowered = memory.friction * (1.0 - config.dt / config.friction_time)
+        memory.friction = max(lowered, min(LEAST_FRICTION, config.mu))
     else:
         memory.friction += config.dt / (RETURNS * config.friction_time) * (config.mu - memory.friction)
 

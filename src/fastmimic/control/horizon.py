@@ -21,7 +21,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.jit import inlined, kernel, record_dtype
+from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_of, heading_vector
 from fastmimic.control.config import MAX_HORIZON_STEPS
 from fastmimic.control.horizon_preview import foresee
@@ -35,16 +35,12 @@ HORIZON_CONSTRAINTS: Final = 36 * _N
 
 PLAN: Final = record_dtype(
     [
-        ("age", "i8"),  # control steps since it was made
-        ("valid", "i8"),
-        ("heading", "f8"),  # of the frame that it is in, rad
-        ("state", "f8", (_N + 1, 12)),  # X and V at the ends of the steps, from where it was made
-        ("reference", "f8", (_N + 1, 12)),  # X̄ and V̄, as `state`
-        ("acceleration", "f8", (_N, 6)),
-        ("force", "f8", (_N, 4, 3)),  # N
+        *integers(age=(), valid=()),
+        *floats(heading=(), state=(_N + 1, 12), reference=(_N + 1, 12), acceleration=(_N, 6), force=(_N, 4, 3)),
     ]
 )
-"""The plan of one robot, in the heading frame at planning time."""
+"""The plan of one robot, in the heading frame at planning time: its `age` in control steps; the frame's `heading`, rad;
+at the ends of the steps X and V from where it was made (`state`), and X̄ and V̄ (`reference`); forces, N."""
 
 
 @inlined

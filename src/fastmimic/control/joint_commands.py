@@ -216,22 +216,19 @@ def add_leg_dynamics(config: Any, model: Any, obs: Any, memory: Any, command: An
 
 
 @inlined
-def compensate_friction(model: Any, command: Any, j: int) -> None:
-    """Adds the torque that joint j loses to viscous and dry friction at its commanded velocity."""
-    velocity = command.joint_vel[j]
-    if model.joint_damping[j] > 0.0:
-        command.torque[j] += model.joint_damping[j] * velocity
-    if model.joint_friction[j] > 0.0:
-        command.torque[j] += model.joint_friction[j] * np.tanh(velocity / DRY_FRICTION_FROM)
-
-
-@inlined
-def clip_command(config: Any, model: Any, command: Any, j: int) -> None:
-    """Clips the command of joint j; where NaN observations made it NaN, it becomes damping."""
-    if not np.isfinite(command.joint_pos[j] + command.joint_vel[j] + command.torque[j]):
-        command.joint_pos[j], command.joint_vel[j], command.torque[j] = 0.0, 0.0, 0.0
-        command.stiffness[j], command.damping[j] = 0.0, DAMPING_AFTER_FAILURE
-    lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
-    command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
-    limit = model.torque_limit[j]
-    command.torque[j] = min(max(command.torque[j], -limit), limit)
+def finish_leg(config: Any, model: Any, command: Any, leg: int) -> None:
+    """Adds the torques that a leg's joints lose to viscous and dry friction at their commanded velocities, and clips
+    the command; where NaN observations made it NaN, it becomes damping."""
+    for j in range(3 * leg, 3 * leg + 3):
+        velocity = command.joint_vel[j]
+        if model.joint_damping[j] > 0.0:
+            command.torque[j] += model.joint_damping[j] * velocity
+        if model.joint_friction[j] > 0.0:
+            command.torque[j] += model.joint_friction[j] * np.tanh(velocity / DRY_FRICTION_FROM)
+        if not np.isfinite(command.joint_pos[j] + velocity + command.torque[j]):
+            command.joint_pos[j], command.joint_vel[j], command.torque[j] = 0.0, 0.0, 0.0
+            command.stiffness[j], command.damping[j] = 0.0, DAMPING_AFTER_FAILURE
+        lower, upper = model.lower[j] + config.joint_margin, model.upper[j] - config.joint_margin
+        command.joint_pos[j] = min(max(command.joint_pos[j], lower), upper)
+        limit = model.torque_limit[j]
+        command.torque[j] = min(max(command.torque[j], -limit), limit)

@@ -30,19 +30,10 @@ def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
     """Memory of a problem of up to n_max variables and m_max constraints, simple bounds included. One per thread. The
     record holds `hessian` (n × n, row-major in its first n² entries), `gradient` f, `rows` of A, `upper` and `lower`
     (simple bounds first), the solution `x`, its multipliers `dual`, and DAQP's structs, which point to them."""
-    workspace = np.zeros(
-        1,
-        record_dtype(
-            [
-                *floats(hessian=n_max * n_max, gradient=n_max, rows=m_max * n_max, upper=m_max, lower=m_max),
-                *floats(x=n_max, dual=m_max),
-                ("problem", "i4", (20,)),
-                ("result", "i4", (32,)),
-                ("settings", "u1", (_SETTINGS_BYTES,)),
-                ("sense", "i4", (m_max,)),
-            ]
-        ),
-    )
+    given = floats(hessian=n_max * n_max, gradient=n_max, rows=m_max * n_max, upper=m_max, lower=m_max)
+    structs = [("problem", "i4", (20,)), ("result", "i4", (32,)), ("settings", "u1", (_SETTINGS_BYTES,))]
+    found = floats(x=n_max, dual=m_max)
+    workspace = np.zeros(1, record_dtype([*given, *found, *structs, ("sense", "i4", (m_max,))]))
 
     def address(name: str) -> int:
         return int(workspace[name].ctypes.data)
@@ -81,14 +72,9 @@ def _solve_python(
 ) -> tuple[int, Array, Array]:
     import daqp
 
-    solution, _, flag, info = daqp.solve(
-        hessian[: n * n].reshape(n, n).copy(),
-        gradient[:n].copy(),
-        rows[: (m - ms) * n].reshape(m - ms, n).copy(),
-        upper[:m].copy(),
-        lower[:m].copy(),
-        np.zeros(m, np.intc),
-    )
+    square, table = hessian[: n * n].reshape(n, n), rows[: (m - ms) * n].reshape(m - ms, n)
+    given = (part.copy() for part in (square, gradient[:n], table, upper[:m], lower[:m]))
+    solution, _, flag, info = daqp.solve(*given, np.zeros(m, np.intc))
     return int(flag), solution, info["lam"]
 
 

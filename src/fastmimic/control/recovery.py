@@ -29,7 +29,7 @@ from fastmimic.base.rotations import (
 from fastmimic.base.vectors import heading_of, quat_to_matrix, turn_rows
 from fastmimic.motion.ground import differentiate, pad
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.regulator import GAINS, regulator_gains
+from fastmimic.reference.regulator import GAINS, motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.table import SAMPLE, once, put_root_at, reference_table
 from fastmimic.robot import Robot
@@ -209,11 +209,7 @@ def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> tup
     count = 1 if motion.cycle is not None else max(1, round(motion.period_s / PIECE_S))
     trots = [_trot(motion, part, robot) for part in np.array_split(np.arange(motion.n_samples), count)]
     tables = [reference_table(trot, robot) for trot in trots]
-    gains = [
-        regulator_gains(table, robot, config, motion.dt, float(trot.cycle[2]))  # type: ignore[index]
-        for table, trot in zip(tables, trots, strict=True)
-    ]
-    return np.stack(tables), np.stack(gains)
+    return np.stack(tables), np.stack([motion_gains(trot, robot, config) for trot in trots])
 
 
 def _trot(motion: Motion, part: NDArray[np.int_], robot: Robot) -> Motion:

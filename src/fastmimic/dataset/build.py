@@ -273,13 +273,10 @@ def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
         if not update:
             raise
     if there is not None and there != recipe.digest and not update:
-        said = ", ".join(
-            f"{name} was {was.get(name)}" for name, value in recipe.as_dict().items() if was.get(name) != value
-        )
-        raise LibraryError(
-            f"{library.path}: holds a library made otherwise ({said or 'another controller'}); --update makes it anew,"
-            " or choose another --out"
-        )
+        other = [name for name, value in recipe.as_dict().items() if was.get(name) != value]
+        said = ", ".join(f"{name} was {was.get(name)}" for name in other) or "another controller"
+        made = f"{library.path}: holds a library made otherwise ({said})"
+        raise LibraryError(f"{made}; --update makes it anew, or choose another --out")
     if there != recipe.digest:
         library.save_recipe(recipe)
 

@@ -289,9 +289,8 @@ def _open(source: DatasetSource, frames: tuple[int, int] | None = None) -> Clip 
     """The source, or `frames` of it if it is a clip."""
     if Path(source.place).is_file() and detect_format(source.place) == "npz":
         if source.overrides or source.frames is not None:
-            raise ClipError(
-                f"{source.place}: is already a robot motion; frames, fps, up, scale and point map are of clips"
-            )
+            given = "frames, fps, up, scale and point map"
+            raise ClipError(f"{source.place}: is already a robot motion; {given} are of clips")
         return Motion.load(source.place)
     return open_clip(source.place, frames=source.frames or frames, **source.overrides)
 

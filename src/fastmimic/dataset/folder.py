@@ -169,9 +169,8 @@ class MotionDataset:
         try:
             said: dict[str, Any] = from_json(path.read_text(encoding="utf-8"))
             if said["format_version"] != FORMAT_VERSION:
-                raise LibraryError(
-                    f"{path}: format version {said['format_version']}; this release reads version {FORMAT_VERSION}"
-                )
+                found = f"{path}: format version {said['format_version']}"
+                raise LibraryError(f"{found}; this release reads version {FORMAT_VERSION}")
             missing = ({"digest", *BuildSettings.__dataclass_fields__} ^ {"digest", *said["recipe"]}) - {"choice"}
             if missing or not isinstance(said["digest"], str):
                 raise ValueError(f"not a recipe: {', '.join(sorted(missing)) or 'digest'}")
@@ -248,9 +247,8 @@ class MotionDataset:
             there = parquet.read_schema(path).names
             table = parquet.read_table(path, columns=[name for name in columns if name in there] or None)
         except (OSError, ValueError) as error:
-            raise LibraryError(
-                f"{path}: damaged ({str(error).splitlines()[0]}); 'fastmimic library verify --mend' makes it anew"
-            ) from None
+            damage = str(error).splitlines()[0]
+            raise LibraryError(f"{path}: damaged ({damage}); 'fastmimic library verify --mend' makes it anew") from None
         missing = [name for name in (columns or (*COLUMNS, *GRADED)) if name not in table.column_names]
         if missing:
             raise LibraryError(f"{path}: no column '{missing[0]}'; 'fastmimic library verify --mend' makes it anew")
@@ -263,10 +261,8 @@ class MotionDataset:
         found = [i for i, row in enumerate(rows) if row["name"] == name]
         found = found or [i for i, row in enumerate(rows) if row["id"].startswith(name)]
         if not found:
-            raise LibraryError(
-                f"{self.path}: no motion '{name}'{did_you_mean(name, {row['name'] for row in rows})}"
-                f" ('fastmimic library list {self.path}')"
-            )
+            hint = did_you_mean(name, {row["name"] for row in rows})
+            raise LibraryError(f"{self.path}: no motion '{name}'{hint} ('fastmimic library list {self.path}')")
         return list(table.take(found).to_pylist())
 
     def motion(self, row: Row) -> Motion:
@@ -295,9 +291,8 @@ def working(folder: Path, *, alone: bool) -> Iterator[None]:
     try:
         if not lock(handle, shared=not alone):
             if alone and lock(handle, shared=True):
-                raise LibraryError(
-                    f"{folder}: is being built now, and would lose what that has begun; mend it when that has ended"
-                )
+                said = "is being built now, and would lose what that has begun"
+                raise LibraryError(f"{folder}: {said}; mend it when that has ended")
             raise LibraryError(f"{folder}: is being mended now; try again when that has ended")
         yield
     finally:
@@ -333,7 +328,7 @@ def export_library(
     form: str,
     *,
     fps: float = DEFAULT_FPS,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
     """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file.
 
@@ -342,17 +337,15 @@ def export_library(
     damaged motion, or a file that cannot be written.
     """
     if Path(folder).resolve().is_relative_to(library.path.resolve()):
-        raise LibraryError(
-            f"{folder}: is in the library, whose own motions would be overwritten; choose another folder"
-        )
+        said = "is in the library, whose own motions would be overwritten"
+        raise LibraryError(f"{folder}: {said}; choose another folder")
     listed = []
     for i, row in enumerate(rows):
         motion = library.motion(row)
         name = Path(row["motion_file"]).with_suffix(EXPORTS.get(form, "")).name
         export_motion(motion, load_robot(row["robot_file"] or row["robot"]), Path(folder) / name, form, fps=fps)
         listed.append({**row, "file": name})
-        if progress is not None:
-            progress(i + 1, len(rows))
+        progress(i + 1, len(rows))
     path = Path(folder) / LISTED
     write_text(path, csv_text(_EXPORTED, listed))
     return path

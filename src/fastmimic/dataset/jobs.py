@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Final
 
@@ -28,8 +28,7 @@ from fastmimic.dataset.index import DONE, FAILED, MOTIONS, Record, empty, load_r
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics
-from fastmimic.episode.plan import Start, nominal_start, perturbed_start
-from fastmimic.episode.rollout import Rollout
+from fastmimic.episode.plan import nominal_start, perturbed_start
 from fastmimic.executors import Report
 from fastmimic.experiments.measurement import measure, named_values, searched
 from fastmimic.imitation.imitate import Imitation
@@ -123,10 +122,8 @@ def perform(job: Job, report: Report) -> Record:
     Raises `OutputError` if the library's folder is not visible here, or cannot be written to, such as a full disk.
     """
     if not (job.folder / SETTINGS).is_file():
-        raise OutputError(
-            f"{job.folder}: no library there as seen from {socket.gethostname()}; all machines must see it under the"
-            " same path"
-        )
+        said = f"no library there as seen from {socket.gethostname()}"
+        raise OutputError(f"{job.folder}: {said}; all machines must see it under the same path")
     found = load_record(job.folder, job.id)
     if found is not None and (found["status"] != FAILED or job.began <= found["finished"]):
         return found
@@ -209,20 +206,16 @@ def _tried(job: Job, result: Imitation) -> Record:
         "limits_exceeded": "; ".join(reason.text for reason in exceeded) or None,
     }
 
-    def elsewhere(conditions: Conditions, start: Start) -> Rollout:
-        return run_episodes(
-            robot, result.motion, start=start, duration_s=measured.seconds, config=result.config, conditions=conditions
-        )
-
+    elsewhere = partial(run_episodes, robot, result.motion, duration_s=measured.seconds, config=result.config)
     if recipe.others:
         others = Conditions(disturbances=other_robots(recipe.others))
-        rollout = elsewhere(others, nominal_start(recipe.others))
+        rollout = elsewhere(conditions=others, start=nominal_start(recipe.others))
         simulated_s += measured.seconds * recipe.others
         figures |= Metrics.of(rollout).named(("reward_mean", "reward_worst", "fell"), "robots")
     if recipe.second_simulator and SIMULATORS[SECOND_SIMULATOR].knows(job.robot):
         random = np.random.default_rng(_TRIALS_SEED)
         start = perturbed_start(_SECOND_SIMULATOR_EPISODES + 1, 1, random).part(slice(1, None))
-        rollout = elsewhere(Conditions(SECOND_SIMULATOR), start)
+        rollout = elsewhere(conditions=Conditions(SECOND_SIMULATOR), start=start)
         simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
         figures |= Metrics.of(rollout).named(("reward_mean", "fell"), "second_simulator")
     return figures | {"simulated_s": simulated_s}

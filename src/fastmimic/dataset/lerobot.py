@@ -104,12 +104,9 @@ def _info(columns: Columns, episodes: int, robot: Robot, fps: int) -> dict[str, 
     info |= {"chunks_size": 1000, "data_files_size_in_mb": 100, "video_files_size_in_mb": 500}
     info |= {"data_path": f"data/{_PATH}", "video_path": None}
     shapes = {name: list(values.shape[1:]) or [1] for name, values in columns.items()}
-    return info | {
-        "features": {
-            name: {"dtype": values.dtype.name, "shape": shapes[name], "names": names.get(name)}
-            for name, values in columns.items()
-        }
-    }
+    kinds = {name: values.dtype.name for name, values in columns.items()}
+    features = {name: {"dtype": kinds[name], "shape": shapes[name], "names": names.get(name)} for name in columns}
+    return info | {"features": features}
 
 
 def _write_tables(folder: Path, columns: Columns, lengths: list[int], task: str) -> None:

@@ -16,6 +16,8 @@ from fastmimic.episode.plan import episode_duration
 from fastmimic.imitation.methods import method_named
 from fastmimic.robot import load_robot
 
+Progress = Callable[[int, int], None]
+
 _DRAW_SEED = 0
 _COLUMNS = ("id", "name", "robot", "robot_file", "method", "motion_file", "reward_mean", "lacks")
 
@@ -37,7 +39,7 @@ class DatasetHealth:
         return not self.damaged and not self.outdated
 
 
-def check(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> DatasetHealth:
+def check(library: MotionDataset, progress: Progress = lambda done, total: None) -> DatasetHealth:
     """Reads every file of a library and reports defects; calls `progress` with (files done, files in all)."""
     there = {f"{MOTIONS}/{path.name}" for path in (library.path / MOTIONS).glob("*")}
     plan = library.plan()
@@ -51,14 +53,11 @@ def check(library: MotionDataset, progress: Callable[[int, int], None] | None = 
         if wrong is not None:
             damaged.append(f"{row['id']}: {wrong}")
             useless += [f"{RECORDS}/{row['id']}.json", *([motion] if motion is not None else [])]
-        if progress is not None:
-            progress(i, len(rows))
+        progress(i, len(rows))
     foreign = {*there, *(f"{RECORDS}/{old.id}.json" for old in found.superseded)}
-    foreign |= {
-        str(path.relative_to(library.path))
-        for pattern in (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
-        for path in library.path.glob(pattern)  # a killed `fastmimic.base.files.replace_file` left it
-    }
+    # what a killed `fastmimic.base.files.replace_file` leaves
+    left = (f".{INDEX}.*", f".{SETTINGS}.*", *(f"{name}/.*.json.*" for name in (RECORDS, SOURCES, ROBOTS)))
+    foreign |= {str(path.relative_to(library.path)) for pattern in left for path in library.path.glob(pattern)}
     records = len(rows) + len(found.superseded) + len(found.torn)
     try:
         outdated = not found.table.equals(library.index_table().select(found.table.column_names))
@@ -67,9 +66,7 @@ def check(library: MotionDataset, progress: Callable[[int, int], None] | None = 
     return DatasetHealth(records, tuple(damaged), tuple(useless), tuple(sorted(foreign)), plan.unreadable, outdated)
 
 
-def rerun(
-    library: MotionDataset, count: int, progress: Callable[[int, int], None] | None = None
-) -> tuple[list[str], int]:
+def rerun(library: MotionDataset, count: int, progress: Progress = lambda done, total: None) -> tuple[list[str], int]:
     """Runs the nominal episodes of `count` random motions (at most all) again; calls `progress` with (done, all).
     Returns the motions with another reward than recorded, or with a damaged or missing file or robot, one line each,
     and the number drawn. Raises `LibraryError` for a missing or damaged index, `ConfigError` for a missing parameter
@@ -94,12 +91,11 @@ def rerun(
         else:
             if reward != row["reward_mean"]:
                 found.append(f"{what}: {row['reward_mean']!r} recorded, {reward!r} now")
-        if progress is not None:
-            progress(i + 1, len(drawn))
+        progress(i + 1, len(drawn))
     return found, len(drawn)
 
 
-def mend(library: MotionDataset, progress: Callable[[int, int], None] | None = None) -> tuple[DatasetHealth, int]:
+def mend(library: MotionDataset, progress: Progress = lambda done, total: None) -> tuple[DatasetHealth, int]:
     """Removes damaged files and those of no record that belongs to the library, and writes the index.
 
     Returns the defects found before, and the number of removed files. Raises `LibraryError` while a build runs, because

@@ -76,11 +76,8 @@ class A1Driver(RobotDriver):
                 problem = implausible_joint(self._robot, state.reading["joint_pos"][0])
                 if not problem:
                     return
-        raise DriverError(
-            problem
-            or f"no state of an A1 within {self._timeout_s:g} s: is it on, in damping mode, and this computer on its"
-            " network (192.168.123.x)?"
-        )
+        hint = "is it on, in damping mode, and this computer on its network (192.168.123.x)?"
+        raise DriverError(problem or f"no state of an A1 within {self._timeout_s:g} s: {hint}")
 
 
 def _binding() -> Any:
@@ -94,10 +91,8 @@ def _binding() -> Any:
         raise DriverError(f"the A1 needs Unitree's '{MODULE}', which cannot be imported ({error}): {where}") from None
     interface = getattr(module, "RobotInterface", None)
     if not all(hasattr(interface, name) for name in ("send_command", "receive_observation")):
-        raise DriverError(
-            f"{getattr(module, '__file__', MODULE)} is another '{MODULE}': it has no RobotInterface with send_command"
-            f" and receive_observation; {where}"
-        )
+        lacks = "it has no RobotInterface with send_command and receive_observation"
+        raise DriverError(f"{getattr(module, '__file__', MODULE)} is another '{MODULE}': {lacks}; {where}")
     return interface
 
 

@@ -50,10 +50,8 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     """Names and values of a deployment's figures; without times if it ran on a virtual clock."""
     r, packets = result, result["packets"]
     way = f"{r['motion_s']:.1f} s, {r['way_m']:.1f} m"
-    rows = [
-        ("stopped by", r["stopped_by"] + (f": {r['stopped_because']}" if r["stopped_because"] else "")),
-        ("fell", "yes" if r["fell"] else "no"),
-    ]
+    why = f": {r['stopped_because']}" if r["stopped_because"] else ""
+    rows = [("stopped by", r["stopped_by"] + why), ("fell", "yes" if r["fell"] else "no")]
     if "response_ms" in r:
         errors = f"{number(r['velocity_error_m_s'], 3)} m/s, {number(r['yaw_rate_error_rad_s'], 3)} rad/s"
         rows += [("steered", way), ("velocity error, median", errors)]

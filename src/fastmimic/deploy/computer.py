@@ -23,6 +23,7 @@ REHEARSAL_S: Final = 1.0
 PRIORITY: Final = 60  # in `SCHED_FIFO`: below the kernel's threads
 EMERGENCY_KEYS: Final = " \r\nqQ"  # damp at once: the robot sinks to the ground
 LEAVE_KEYS: Final = "sS"  # blend out and sit down
+_LIMITS: Final = "/etc/security/limits.conf"
 _SWITCH_S: Final = 1e-4  # how long another thread may keep the interpreter from the loop
 _SIGNALS: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _MCL_CURRENT_FUTURE_ON_FAULT: Final = 7  # what was never touched stays out of memory: gigabytes of libraries
@@ -125,16 +126,12 @@ def _ask_for_real_time(refused: list[str]) -> dict[int, tuple[int, int]]:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PRIORITY))
             before[thread] = kept
     except OSError as error:
-        refused.append(
-            f"no real-time scheduling ({error.strerror}): give this user an 'rtprio' of {PRIORITY} in"
-            " /etc/security/limits.conf, or the process CAP_SYS_NICE"
-        )
+        remedy = f"give this user an 'rtprio' of {PRIORITY} in {_LIMITS}, or the process CAP_SYS_NICE"
+        refused.append(f"no real-time scheduling ({error.strerror}): {remedy}")
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT_FUTURE_ON_FAULT) != 0:
-        refused.append(
-            f"memory cannot be locked ({os.strerror(ctypes.get_errno())}): raise 'memlock' in"
-            " /etc/security/limits.conf, or give the process CAP_IPC_LOCK"
-        )
+        remedy = f"raise 'memlock' in {_LIMITS}, or give the process CAP_IPC_LOCK"
+        refused.append(f"memory cannot be locked ({os.strerror(ctypes.get_errno())}): {remedy}")
     return before
 
 

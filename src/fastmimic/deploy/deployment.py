@@ -110,8 +110,7 @@ class Deployment:
     @property
     def result(self) -> dict[str, Any]:
         """The figures, JSON-serialisable."""
-        found: dict[str, Any] = self.log.meta["result"]
-        return found
+        return self.log.meta["result"]
 
 
 def deploy(
@@ -278,10 +277,8 @@ def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.in
     found = at < len(sequence)
     found[found] = sequence[at[found]] == wanted[found]
     if not found.all():
-        raise DeploymentError(
-            f"the log has state {wanted[~found][0]}, and there are true ones of {sequence[0]} to {sequence[-1]}:"
-            " another run's?"
-        )
+        said = f"the log has state {wanted[~found][0]}, and there are true ones of {sequence[0]} to {sequence[-1]}"
+        raise DeploymentError(f"{said}: another run's?")
     return truth[at]
 
 

@@ -147,10 +147,9 @@ def implausible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
     j = int(np.argmax(off))
     if off[j] <= ENCODER_ERROR:
         return ""
-    return (
-        f"{robot.joint_names[j]} is at {joint_pos[j]:.2f} rad, outside the {robot.name}'s {robot.joint_lower[j]:.2f} …"
-        f" {robot.joint_upper[j]:.2f} rad: another robot, or its joints are not calibrated"
-    )
+    outside = f"outside the {robot.name}'s {robot.joint_lower[j]:.2f} … {robot.joint_upper[j]:.2f} rad"
+    said = f"{robot.joint_names[j]} is at {joint_pos[j]:.2f} rad, {outside}"
+    return f"{said}: another robot, or its joints are not calibrated"
 
 
 def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:
@@ -161,5 +160,4 @@ def make_driver(driver: str, robot: Robot, **options: Any) -> RobotDriver:
     if unknown is not None:
         known = f"; it has {', '.join(f'--{option}' for option in own)}" if own else ""
         raise ConfigError(f"driver '{driver}' has no --{unknown}{known}")
-    made: RobotDriver = getattr(import_module(module), name)(robot, **options)
-    return made
+    return getattr(import_module(module), name)(robot, **options)

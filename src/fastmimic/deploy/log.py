@@ -7,7 +7,7 @@ Its folder holds `log.mcap`, which grows while it runs, and in the end `motion.n
 import io
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fastmimic.base.conventions import RATE_RANGE_HZ
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_json
+from fastmimic.base.jit import floats, integers
 from fastmimic.deploy.log_file import LogFile, read_log_file
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING, RunLog
@@ -55,29 +56,19 @@ class _Facts(msgspec.Struct):
     result: _Ended | msgspec.UnsetType = msgspec.UNSET  # of a log that was cut off
 
 
-_COUNTED: Final = "received", "lost", "rejected", "foreign", "missed", "skipped"
 EVERY_S: Final = 0.25  # what a kill may lose; a slow disk sets its own pace
 _MOST: Final = 512  # rows at once
 _BEHIND: Final = 15_000  # rows, 30 s, that a disk may be behind
 
 ROW: Final = np.dtype(
     [
-        *((name, "f8") for name in ("time_s", "late_s", "read_s", "control_s", "write_s", "round_trip_s", "age_s")),
-        *((name, "i8") for name in ("sequence", *_COUNTED, "sample")),
-        ("origin", "f8", (3,)),
-        ("haste", "f8"),
-        ("wanted", "f8", (3,)),
-        ("reading", READING),
-        ("estimate", OBSERVATION),
-        ("command", COMMAND),
-        ("force", "f8", (4, 3)),
-        ("solve_s", "f8"),
-        ("early_touchdowns", "i8"),
-        ("qp_failures", "i8"),
-        ("cut", "i4"),
-        ("phase", "i1"),
-        *((name, "?") for name in ("fresh", "in_motion", "sent")),
-        ("stance", "?", (4,)),
+        *floats(time_s=(), late_s=(), read_s=(), control_s=(), write_s=(), round_trip_s=(), age_s=()),
+        *integers(sequence=(), received=(), lost=(), rejected=(), foreign=(), missed=(), skipped=(), sample=()),
+        *floats(origin=3, haste=(), wanted=3),
+        *[("reading", READING), ("estimate", OBSERVATION), ("command", COMMAND)],
+        *floats(force=(4, 3), solve_s=()),
+        *integers(early_touchdowns=(), qp_failures=()),
+        *[("cut", "i4"), ("phase", "i1"), ("fresh", "?"), ("in_motion", "?"), ("sent", "?"), ("stance", "?", (4,))],
     ]
 )
 """One period: its start since the run's start, and its delay; durations of reading, control and writing, and from the
@@ -89,12 +80,8 @@ the robot in the motion itself, and the command sent; stance legs."""
 
 GROUND_TRUTH: Final = np.dtype(
     [
-        ("time_s", "f8"),
-        ("tick", "i8"),
-        ("observation", OBSERVATION),
-        ("command", COMMAND),
-        ("damped", "?"),
-        ("service", "?"),
+        *[("time_s", "f8"), ("tick", "i8"), ("observation", OBSERVATION), ("command", COMMAND)],
+        *[("damped", "?"), ("service", "?")],
     ]
 )
 """One measured state, whether or not it arrived: time since the start, s; tick (the driver's sequence number); true
@@ -121,16 +108,9 @@ class DeploymentLog:
         if len(at) < 2:
             raise DeploymentError("the robot did not reach the motion, so there is nothing to identify")
         step, after = self.rows[at[:-1]], self.rows[at[1:]]
-        return RunLog(
-            robot=str(self.meta["robot"]),
-            motion=str(self.meta["motion"]),
-            rate_hz=self.rate_hz,
-            latency_s=float(self.meta["latency_s"]),
-            reading=np.ascontiguousarray(after["reading"]),
-            command=np.ascontiguousarray(step["command"]),
-            estimate=np.ascontiguousarray(after["estimate"]),
-            stance=np.ascontiguousarray(step["stance"]),
-        )
+        names = str(self.meta["robot"]), str(self.meta["motion"])
+        seen = after["reading"], step["command"], after["estimate"], step["stance"]
+        return RunLog(*names, self.rate_hz, float(self.meta["latency_s"]), *map(np.ascontiguousarray, seen))
 
     @classmethod
     def load(cls, path: str | Path) -> "DeploymentLog":
@@ -166,13 +146,10 @@ def log_path(path: str | Path) -> Path:
         return path
     if (path / LOG).is_file():
         return path / LOG
-    try:
-        given = read_json(path / RESULT, DeploymentError)["arguments"]["log"]
-    except (DeploymentError, KeyError, TypeError):
-        given = None
-    if not given:
-        raise DeploymentError(f"{path}: a folder without {LOG}")
-    return Path(given)
+    with suppress(DeploymentError, KeyError, TypeError):
+        if given := read_json(path / RESULT, DeploymentError)["arguments"]["log"]:
+            return Path(given)
+    raise DeploymentError(f"{path}: a folder without {LOG}")
 
 
 def is_deployment_log(path: str | Path) -> bool:

@@ -70,10 +70,8 @@ class LogFile:
             path.parent.mkdir(parents=True, exist_ok=True)
             free = shutil.disk_usage(path.parent).free
             if free < needed:
-                raise OutputError(
-                    f"{path}: the disk has {free / 1e6:.0f} MB free, and the log needs {needed / 1e6:.0f} MB;"
-                    " make room, or choose another place"
-                )
+                said = f"the disk has {free / 1e6:.0f} MB free, and the log needs {needed / 1e6:.0f} MB"
+                raise OutputError(f"{path}: {said}; make room, or choose another place")
             self._stream = open(path, "xb")  # noqa: SIM115
             try:
                 self._begin(kinds, attachments or {}, metadata or {})

@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, JOINT_NAMES
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
-from fastmimic.base.rotations import (
-    matrix_from_quat,
-    quat_conjugate,
-    quat_from_rotvec,
-    quat_multiply,
-    rotvec_from_quat,
-)
+from fastmimic.base.rotations import matrix_from_quat, quat_conjugate, quat_from_rotvec, quat_multiply, rotvec_from_quat
 from fastmimic.base.vectors import quat_turned
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics

@@ -75,10 +75,8 @@ class Loop:
         if state is None:
             if rejected := self.driver.packets.rejected:
                 raise DriverError(f"no good state of the robot within {FIRST_STATE_S:g} s: {rejected} were damaged")
-            raise DriverError(
-                f"no state of the robot within {FIRST_STATE_S:g} s: is it switched on, in low-level mode, and on this"
-                " network?"
-            )
+            hint = "is it switched on, in low-level mode, and on this network?"
+            raise DriverError(f"no state of the robot within {FIRST_STATE_S:g} s: {hint}")
         rehearsal = None if isinstance(self.clock, VirtualClock) else Rehearsal(self.clock, self._dt)
         self.machine.warm_up(state.reading, rehearsal)
         if rehearsal is not None:

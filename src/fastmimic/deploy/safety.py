@@ -60,9 +60,8 @@ class SafetyLimits:
     def __post_init__(self) -> None:
         check(self, "safety limit ")
         if self.height_least >= self.height_most:
-            raise ConfigError(
-                f"safety limit height_least ({self.height_least:g}) must be below height_most ({self.height_most:g})"
-            )
+            least, most = f"height_least ({self.height_least:g})", f"height_most ({self.height_most:g})"
+            raise ConfigError(f"safety limit {least} must be below {most}")
 
     @classmethod
     def of(cls, robot: Robot) -> "SafetyLimits":

@@ -17,7 +17,7 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import gains_of
-from fastmimic.motion.motion import Motion
+from fastmimic.motion.motion import ARRAYS, Motion
 from fastmimic.reference.course import CourseTransition
 from fastmimic.reference.motion_set import LiveReference, MotionSet
 from fastmimic.reference.standing import STAND
@@ -40,10 +40,6 @@ _SAME_POSTURE: Final = 0.05
 LEAST_S: Final = 1.0  # of a passage with room for a stride at either end
 _STRIDES_S: Final = (0.3, 1.5)  # shortest and longest stride
 _NEARLY: Final = 1.3
-_ARRAYS: Final = (
-    *("root_pos_w", "root_quat_wxyz", "root_lin_vel_w", "root_ang_vel_w"),
-    *("joint_pos", "joint_vel", "foot_pos_b", "contact"),
-)
 _RESTS_S: Final = 0.2  # standing on all feet for so long is rest
 _STANDS_S: Final = 0.5  # after it was steered, before it sits down
 
@@ -222,10 +218,8 @@ def _passage(motion: Motion, first: int, last: int) -> str:
     """Which part of a passage is done; `MotionError` if none is left."""
     begins, ends = first * motion.dt, last * motion.dt
     if first >= last:
-        raise MotionError(
-            f"motion '{motion.name}' can be entered from standing by {begins:.2f} s only, and left until {ends:.2f} s;"
-            " choose a longer passage"
-        )
+        when = f"entered from standing by {begins:.2f} s only, and left until {ends:.2f} s"
+        raise MotionError(f"motion '{motion.name}' can be {when}; choose a longer passage")
     return f"{motion.name} from {begins:.2f} s to {ends:.2f} s of {motion.period_s:.2f} s"
 
 
@@ -234,30 +228,22 @@ def _standing_joints(library: MotionSet, motion: Motion) -> Array:
     stand = library.entry(STAND).motion.joint_pos[0]
     off = float(np.abs(motion.joint_pos[[0, -1]] - stand).max())
     if off > _SAME_POSTURE:
-        raise MotionError(
-            f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the standing posture:"
-            " the robot cannot reach it without a step"
-        )
+        said = f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the standing posture"
+        raise MotionError(f"{said}: the robot cannot reach it without a step")
     return np.array(stand)
 
 
 def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, int]]:
     """The cyclic motions at start and end, each with a shift: sample t of the whole is its sample (t − shift) mod n."""
     motion.check_robot(robot.name)
-    if abs(motion.rate_hz - rate_hz) > 1e-9:
-        raise MotionError(
-            f"motion '{motion.name}' has {motion.rate_hz:g} samples a second and the controller runs at {rate_hz:g} Hz;"
-            " retarget the clip with that rate"
-        )
+    motion.check_rate(rate_hz, MotionError)
     if motion.cycle is not None:
         return [(motion, 0), (motion, 0)]
     parts = motion.target.parts
     if not parts:
         if motion.period_s < LEAST_S:
-            raise MotionError(
-                f"motion '{motion.name}' does not repeat and lasts {motion.period_s:.2f} s, too short to be entered"
-                f" from standing and left again; choose a passage of {LEAST_S:g} s or more"
-            )
+            said = f"motion '{motion.name}' does not repeat and lasts {motion.period_s:.2f} s, too short to be entered"
+            raise MotionError(f"{said} from standing and left again; choose a passage of {LEAST_S:g} s or more")
         return [_stride(motion, 0, 1), _stride(motion, motion.n_samples - 1, -1)]
     segments = Layout.of(motion.target).segments
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
@@ -298,5 +284,5 @@ def _as_cycle(motion: Motion, first: int, n: int) -> Motion:
     yaw = yaw_from_quat(motion.root_quat_wxyz[[first, first + n]])
     moved = motion.root_pos_w[first + n, :2] - motion.root_pos_w[first, :2]
     cycle = np.array([*rotate_planar(-yaw[0], moved), np.angle(np.exp(1j * (yaw[1] - yaw[0])))])
-    arrays = {name: getattr(motion, name)[part] for name in _ARRAYS}
+    arrays = {name: getattr(motion, name)[part] for name in ARRAYS}
     return replace(motion, **arrays, cycle=cycle, demonstration=None, animal=None)

@@ -65,10 +65,10 @@ class MotionService:
 
 
 class SimulatedBody:
-    """One simulated robot, step by step: `steps` since the start. Its own motion `service` is active if it starts
-    standing. `command` (1,) of `COMMAND` is what the motors followed in the last step; `damped` and `damped_s` tell
-    whether they damp for lack of commands, and for how long in all, s; `fell` whether it tipped over or landed on
-    anything but its feet at more than 0.7 m/s."""
+    """One simulated robot, step by step: `steps` since the start; `observation` (1,) of `OBSERVATION` is its true one.
+    Its own motion `service` is active if it starts standing. `command` (1,) of `COMMAND` is what the motors followed in
+    the last step; `damped` and `damped_s` tell whether they damp for lack of commands, and for how long in all, s;
+    `fell` whether it tipped over or landed on anything but its feet at more than 0.7 m/s."""
 
     def __init__(
         self,
@@ -84,6 +84,7 @@ class SimulatedBody:
         if start not in STARTS:
             raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
         self.robot, self.simulation, self.sensors = robot, simulation, sensors
+        self.observation = simulation.observation  # the same records in all steps
         self._dt, self._standing, self._watchdog_s = 1.0 / rate_hz, start == "standing", watchdog_s
         self._damping = damping_command()
 
@@ -102,11 +103,6 @@ class SimulatedBody:
         self._commanded: int | None = None
         self.steps, self.damped, self.damped_s, self.fell = 0, True, 0.0, False
         return self.sensors.reset([generator], self.observation)
-
-    @property
-    def observation(self) -> NDArray[Any]:
-        """(1,) of `OBSERVATION`, the true state."""
-        return self.simulation.observation
 
     @property
     def time(self) -> float:
@@ -128,8 +124,7 @@ class SimulatedBody:
             self.command = self._last if fresh else self._damping
         self.damped_s += self._dt if self.damped else 0.0
         falling = -float(self.observation["lin_vel"][0, 2])
-        self._motors = self.sensors.to_motors(self.command)
-        self.simulation.step(self._motors)
+        self.simulation.step(self.sensors.to_motors(self.command))
         self.steps += 1
         _, x, y, _ = self.observation["root_quat"][0]
         landed = self.observation["other_contact"][0] > 0 and falling > _IMPACT
@@ -137,7 +132,7 @@ class SimulatedBody:
 
     def measure(self) -> NDArray[Any]:
         """(1,) of `READING`, delivered by the sensors after this step."""
-        return self.sensors.measure(self.observation, self._motors)
+        return self.sensors.measure(self.observation, self.sensors.command)
 
 
 @documented

@@ -2,10 +2,10 @@
 
 import dataclasses
 import math
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from threading import Event
 from typing import Any, Final
 
 import numpy as np
@@ -130,10 +130,7 @@ class SimServer:
         self._servers = [messages.ServiceServer(participant, name, found) for name, found in handlers.items()]
 
     def run(
-        self,
-        stop: threading.Event,
-        duration_s: float = math.inf,
-        report: Callable[["SimServer"], None] = lambda sim: None,
+        self, stop: Event, duration_s: float = math.inf, report: Callable[["SimServer"], None] = lambda sim: None
     ) -> None:
         """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every second."""
         dt = 1.0 / PHYSICS_RATE_HZ
@@ -238,8 +235,6 @@ def _check_alone(participant: Participant) -> None:
     end = time.monotonic() + _LOOK_S
     while time.monotonic() < end:
         if participant.publishers(messages.LOW_STATE_TOPIC):
-            raise DriverError(
-                f"another robot publishes states in DDS domain {participant.domain} on '{participant.interface}':"
-                " use another domain"
-            )
+            where = f"in DDS domain {participant.domain} on '{participant.interface}'"
+            raise DriverError(f"another robot publishes states {where}: use another domain")
         time.sleep(0.02)

@@ -258,9 +258,8 @@ class StateMachine:
             elif self.violation is None:
                 self._go_on(reading)
         elif self.phase is DeploymentPhase.LEAN:
-            self.violation = self.guard.check_doubt(
-                self._lean.verdict(self.estimator.ground, self.guard.limits.sensors_ground)
-            )
+            doubt = self._lean.verdict(self.estimator.ground, self.guard.limits.sensors_ground)
+            self.violation = self.guard.check_doubt(doubt)
             if self.violation is None:
                 self._go_on(reading)
         elif self.phase is not DeploymentPhase.DONE:

@@ -44,9 +44,8 @@ class Demands:
     # the same of the mean of torque and twice the speed in its direction, shares of their limits: 1 on the line from
     # full torque at half of the speed limit to none at all of it
     torque_at_speed: float
-    friction: (
-        float  # horizontal over vertical ground reaction force at that percentile of the instants with a foot down
-    )
+    # horizontal over vertical ground reaction force at that percentile of the instants with a foot down
+    friction: float
     flight: float  # share of the time without any foot on the ground
     lacking: float  # RMS of the linear acceleration that the standing feet cannot give, g
     lacking_angular: float  # the same of the rotation about the centre of mass, rad/s²
@@ -212,9 +211,8 @@ def _how(state: Any, reference: Any) -> str:
 
 def _slip(robot: Robot, states: Any, wanted: NDArray[np.bool_]) -> float:
     """Longest path of a loaded foot's centre in scheduled stance, m."""
-    feet = states["root_pos"][:, None] + quat_rotate(
-        states["root_quat"][:, None], foot_positions(robot, states["joint_pos"])
-    )
+    feet_b = foot_positions(robot, states["joint_pos"])
+    feet = states["root_pos"][:, None] + quat_rotate(states["root_quat"][:, None], feet_b)
     loaded = wanted & (states["foot_force"][..., 2] > 0.02 * robot.mass * GRAVITY)
     step = np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1) * (loaded[1:] & loaded[:-1])
     return float(step.sum(axis=0).max()) if len(step) else 0.0

@@ -23,7 +23,7 @@ from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks,
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.simulation.conditions import Conditions, episode_generator
-from fastmimic.simulation.simulators import Placement, Simulation, make_simulation
+from fastmimic.simulation.simulators import Placement, make_simulation
 from fastmimic.simulation.terrain import Terrain
 
 _START_PURPOSE: Final = 72  # number of the random stream
@@ -85,13 +85,10 @@ class ClosedLoop:
             if controller is None
             else controller(robot, demonstration, n, config)
         )
-        self.simulation: Simulation = make_simulation(
-            robot, n, self.conditions, control_rate_hz=config.rate_hz, threads=threads
-        )
+        self.simulation = make_simulation(robot, n, self.conditions, control_rate_hz=config.rate_hz, threads=threads)
         self.terrain = self.conditions.ground
-        self.observer = (
-            Observer(robot, n, config.rate_hz, self.conditions) if self.conditions.observe == "sensors" else None
-        )
+        senses = self.conditions.observe == "sensors"
+        self.observer = Observer(robot, n, config.rate_hz, self.conditions) if senses else None
         self.table = self.controller.tables[0]
         self.clocks = make_clocks(demonstration, n)
         self.scorer = Scorer(robot, self.table, n, config, config.rate_hz)
@@ -133,10 +130,8 @@ class ClosedLoop:
             if step % 64 == 63 and scorer.tallies["fallen"].all() and recorder is None:
                 break
         counted += [scorer.counted() for _ in range(len(cuts) - len(counted))]  # all fell before
-        parts = tuple(
-            summarised(after.since(before), b - a, rate_hz)
-            for (a, b), (before, after) in zip(pairwise(cuts), pairwise(counted), strict=True)
-        )
+        between = zip(pairwise(cuts), pairwise(counted), strict=True)
+        parts = tuple(summarised(after.since(before), b - a, rate_hz) for (a, b), (before, after) in between)
         found, animal = summarised(scorer.counted(), steps, rate_hz), self._scorers[1:]
         return dataclasses.replace(
             found,
@@ -223,11 +218,9 @@ class ClosedLoop:
                 self.controller.gains = np.stack(gains[:1] if all(each is gains[0] for each in gains) else gains)
         if len(tables) not in (1, self.n):
             raise ConfigError(f"{self.n} robots need 1 or {self.n} references, found {len(tables)}")
-        if tables.shape[1] != len(self.table):
-            raise MotionError(
-                f"the reference has {tables.shape[1]} samples and the demonstration '{self.demonstration.name}'"
-                f" {len(self.table)}; a reference must keep the demonstration's period"
-            )
+        if (n := tables.shape[1]) != (due := len(self.table)):
+            said = f"the reference has {n} samples and the demonstration '{self.demonstration.name}' {due}"
+            raise MotionError(f"{said}; a reference must keep the demonstration's period")
         return tables
 
 
@@ -263,9 +256,8 @@ class _Recorder:
 
     def __init__(self, loop: ClosedLoop, steps: int) -> None:
         self._loop = loop
-        self._kept = {
-            name: np.zeros((loop.n, steps, *value.shape[1:]), value.dtype) for name, value in self._present().items()
-        }
+        present = self._present().items()
+        self._kept = {name: np.zeros((loop.n, steps, *value.shape[1:]), value.dtype) for name, value in present}
 
     def add(self, step: int) -> None:
         """Copies the state after a control step."""

@@ -73,7 +73,6 @@ class Observer:
         self._seed = conditions.seed
         self._errors = np.zeros(n, _ERRORS)
         self._work = np.zeros((2, 3, 3))
-        self._motors: Records | None = None
         self.clocks = np.zeros(0)
 
     def reset(
@@ -91,14 +90,12 @@ class Observer:
 
     def to_motors(self, commands: Records) -> Records:
         """The controller's commands (n,) of `COMMAND` as the motors take them."""
-        self._motors = self.sensors.to_motors(commands)
-        return self._motors
+        return self.sensors.to_motors(commands)
 
     def look(self, truth: Records, memory: Records, tables: Records) -> Records:
         """The observation after a control step, with the controller's clocks advanced. `memory` (n,) of `MEMORY` is the
         controller's; other arguments as for `reset`."""
-        assert self._motors is not None
-        told = self.estimator.step(self.sensors.measure(truth, self._motors), memory["stance"])
+        told = self.estimator.step(self.sensors.measure(truth, self.sensors.command), memory["stance"])
         advance_clocks(self.clocks, tables, told["root_pos"], memory["haste"])
         return told
 

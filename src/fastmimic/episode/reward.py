@@ -320,9 +320,8 @@ def _checked(term: RewardTerm, demonstration: NDArray[Any], observations: NDArra
     assert term.function is not None
     values = np.asarray(term.function(demonstration, observations), dtype=float)
     if values.shape != observations.shape:
-        raise ConfigError(
-            f"reward term '{term.name}' gave values of shape {values.shape} for {len(observations)} robots"
-        )
+        said = f"values of shape {values.shape} for {len(observations)} robots"
+        raise ConfigError(f"reward term '{term.name}' gave {said}")
     values = np.where(np.isfinite(values), values, 0.0)  # of a robot that is lost
     if values.min() < 0.0 or values.max() > 1.0:
         raise ConfigError(f"reward term '{term.name}' must lie in [0, 1], found {values.min():g} to {values.max():g}")

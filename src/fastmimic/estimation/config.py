@@ -49,10 +49,8 @@ class EstimatorConfig:
     def __post_init__(self) -> None:
         check(self, "estimator: ")
         if self.release_force > self.contact_force:
-            raise ConfigError(
-                f"estimator: release_force ({self.release_force:g}) must not be above contact_force"
-                f" ({self.contact_force:g})"
-            )
+            release, contact = f"release_force ({self.release_force:g})", f"contact_force ({self.contact_force:g})"
+            raise ConfigError(f"estimator: {release} must not be above {contact}")
 
 
 CONFIG: Final = record_dtype(

@@ -49,13 +49,11 @@ CONTACT_SCRATCH: Final = floats(residual=(4, 3), rate=(4, 3))
 
 @inlined
 def begin_contact(config: Any, state: Any, reading: Any, planned: Any) -> None:
-    """Starts at the first readings, with the feet loaded that are planned to stand, (4,)."""
+    """Starts at the first readings, with the feet loaded that are planned to stand, (4,); what is not set here is 0."""
     copy(reading.joint_vel, state.lagged_speed)
     copy(reading.torque, state.lagged_torque)
     copy(reading.foot_force, state.filtered)
     copy(_PRIOR, state.swing_sums)
-    state.swing_products[:], state.swing_fit[:], state.swinging[:], state.load[:] = 0.0, 0.0, 0.0, 0.0
-    state.tare[:], state.swing_time[:], state.stance_time[:], state.moments[:, :] = 0.0, 0.0, 0.0, 0.0
     for leg in range(4):
         state.loaded[leg], state.force[leg] = planned[leg], 0.25 * config.weight * planned[leg]
         if config.foot_force == SENSORS:
@@ -63,7 +61,7 @@ def begin_contact(config: Any, state: Any, reading: Any, planned: Any) -> None:
             state.force[leg] = reading.foot_force[leg] * state.loaded[leg]
         # the first readings may be from before the motors were switched on
         state.unloaded_time[leg] = -config.latency - _SETTLED * config.torque_time
-        state.noise[leg], state.believed[leg] = config.load_noise * config.load_noise, 0
+        state.noise[leg] = config.load_noise * config.load_noise
         state.moments[leg, 0], state.moments[leg, 1] = 0.25 * config.weight, reading.foot_force[leg]
 
 

@@ -54,16 +54,13 @@ smoothed; and what `CONTACT_STATE` holds of the feet."""
 
 SCRATCH: Final = record_dtype(
     [
-        *floats(rotation=(3, 3), jacobian=(3, 3)),
-        *floats(accel=3),  # of the base, world, without gravity
-        *floats(foot=(4, 3)),  # from the base, world
-        *floats(roll=(4, 3)),  # velocity of the feet's centres where they roll, world
-        *floats(velocity=(4, 3)),  # of the base by each leg, world
+        *floats(rotation=(3, 3), jacobian=(3, 3), accel=3, foot=(4, 3), roll=(4, 3), velocity=(4, 3)),
         *floats(work=(2, STATES), quat=4),
         *CONTACT_SCRATCH,
     ]
 )
-"""Work memory of the kernels, one record per thread."""
+"""Work memory of the kernels, one record per thread. In the world: the base's `accel` without gravity, the feet from
+the base, the velocities of their centres where they `roll`, and that of the base by each leg."""
 
 
 @inlined
@@ -253,17 +250,15 @@ def estimate_step(
 
 @kernel
 def begin(config: Any, states: Any, readings: Any, starts: Any, planned: Any, outs: Any, scratches: Any) -> None:
-    """Starts the estimates of all robots from `starts` (n,) of `START`; the rest as in `estimate_step`."""
+    """Starts the estimates of all robots, all 0, from `starts` (n,) of `START`; the rest as in `estimate_step`."""
     c, scratch = config[0], scratches[0]
     for i in range(states.shape[0]):
         state, reading, start = states[i], readings[i], starts[i]
         state.heading = start.heading - heading_of(reading.quat)
         state.quat = reading.quat
         turn_by(state.quat, 0.0, 0.0, state.heading, False)
-        state.ground[:] = 0.0
         state.ground_time = min(c.ground_start, c.ground_time)
         _sense(c, state, reading, scratch)
-        state.estimate[:, :], state.cov[:, :, :] = 0.0, 0.0
         copy(reading.gyro, state.slow[:3])
         copy(reading.joint_vel, state.slow[3:])
         lowest = np.inf
@@ -316,6 +311,7 @@ class Estimator:
         """Starts at known places, from the first readings, at rest or in motion; arguments and result as in `step`.
         Height comes from the lowest foot, roll and pitch from the IMU; standing legs correct the velocity. `starts` is
         (n,) of `START`."""
+        self.state[...] = np.zeros((), STATE)
         begin(self._config, self.state, readings, starts, planned, self.observation, self._scratch)
         return self.observation
 

@@ -128,9 +128,8 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
         cause = str(raised.cause)
         if _NOT_IMPORTED in cause or _NO_MODULE in cause:
             why = next((line.strip() for line in cause.splitlines() if _NO_MODULE in line), "ImportError")
-            raise ConfigError(
-                f"a machine of the cluster cannot import what it is to do ({why}); install the same FastMimic on all"
-            ) from None
+            said = f"a machine of the cluster cannot import what it is to do ({why})"
+            raise ConfigError(f"{said}; install the same FastMimic on all") from None
         raise raised.as_instanceof_cause() from None
     except ray.exceptions.RayError as lost:
         known = (said for name, said in _LOST.items() if isinstance(lost, _kinds(ray, name)))
@@ -148,17 +147,15 @@ def _cluster_there(ray: Any) -> Iterator[None]:
     try:
         yield
     except ray.exceptions.RuntimeEnvSetupError as error:
-        raise ClusterError(
-            f"a machine of the cluster cannot set up the environment of a job: {_first_line(error)}"
-        ) from None
+        said = "a machine of the cluster cannot set up the environment of a job"
+        raise ClusterError(f"{said}: {_first_line(error)}") from None
     except _kinds(ray, "AuthenticationError") as error:
         raise ClusterError(f"the Ray cluster does not let us in: {_first_line(error)}") from None
     except gone as error:
         if isinstance(error, ray.exceptions.RayTaskError):  # a job's own ConnectionError
             raise
-        raise ClusterError(
-            f"the Ray cluster is gone, or fails ({_first_line(error)}); 'ray status' shows a running one"
-        ) from None
+        said = f"the Ray cluster is gone, or fails ({_first_line(error)})"
+        raise ClusterError(f"{said}; 'ray status' shows a running one") from None
 
 
 def _kinds(ray: Any, *names: str) -> tuple[type[Exception], ...]:

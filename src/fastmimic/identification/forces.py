@@ -51,8 +51,7 @@ class GroundForces:
 
 
 def ground_forces(log: RunLog, robot: Robot) -> GroundForces:
-    """Forces and speeds of the feet in a log; raises `LogError` if it is of another robot, too short, or not
-    finite."""
+    """Forces and speeds of the feet in a log; raises `LogError` for another robot's, too short or not finite ones."""
     if log.robot != robot.name:
         raise LogError(f"the log is of robot '{log.robot}', not of '{robot.name}'; give --robot {log.robot}")
     if log.duration_s < LEAST_S:

@@ -100,8 +100,7 @@ class Identification:
 
     def configure(self, config: ControllerConfig) -> ControllerConfig:
         """The configuration with the identified values."""
-        found: ControllerConfig = changed(config, self.changes(config), "what was identified")
-        return found
+        return changed(config, self.changes(config), "what was identified")
 
     def save(self, path: str | Path, base: str = "default") -> None:
         """Writes a controller's configuration (`fastmimic.control.config`) with its origin to a `.json` file; `base` is
@@ -232,10 +231,8 @@ def _standing(forces: GroundForces) -> NDArray[np.bool_]:
     least = np.where(forces.loaded, STANDING_S, SWINGING_S)
     sure = (forces.settled_s >= least).all(axis=1) & (forces.loaded.sum(axis=1) >= 2) & forces.usable
     if int(sure.sum()) < SAMPLES:
-        raise LogError(
-            f"feet stand in only {int(sure.sum())} control steps of the log; {SAMPLES} are needed to weigh the robot."
-            " Log a longer run, or a slower motion"
-        )
+        stand = f"feet stand in only {int(sure.sum())} control steps of the log"
+        raise LogError(f"{stand}; {SAMPLES} are needed to weigh the robot. Log a longer run, or a slower motion")
     return np.asarray(sure)
 
 

@@ -227,10 +227,9 @@ def body_states(frames: Frames, robot: Robot) -> dict[str, NDArray[Any]]:
     joints = [model.joint(name).id for name in robot.joint_names]
     positions, speeds = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
     bodies = range(1, model.nbody)
-    t, b = frames.n, model.nbody - 1
-    pos, quat, lin, ang = (np.zeros((t, b, k)) for k in (3, 4, 3, 3))
+    pos, quat, lin, ang = (np.zeros((frames.n, len(bodies), k)) for k in (3, 4, 3, 3))
     velocity, turning, inverse = np.zeros(6), np.zeros(3), np.zeros(4)
-    for i in range(t):
+    for i in range(frames.n):
         data.qpos[:3], data.qpos[3:7] = frames.root_pos_w[i], frames.root_quat_wxyz[i]
         data.qpos[positions] = frames.joint_pos[i]
         mujoco.mju_negQuat(inverse, frames.root_quat_wxyz[i])

@@ -49,12 +49,10 @@ def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Gro
     quat = motion.root_quat_wxyz
     linear, angular, joint = _accelerations(motion)
     velocity_b, acceleration_b = quat_rotate_inverse(quat, motion.root_ang_vel_w), quat_rotate_inverse(quat, angular)
-    force, com = inverse_dynamics(
-        robot,
-        np.hstack([motion.root_pos_w, quat, motion.joint_pos])[sample],
-        np.hstack([motion.root_lin_vel_w, velocity_b, motion.joint_vel])[sample],
-        np.hstack([linear, acceleration_b, joint])[sample],
-    )
+    position = np.hstack([motion.root_pos_w, quat, motion.joint_pos])
+    velocity = np.hstack([motion.root_lin_vel_w, velocity_b, motion.joint_vel])
+    acceleration = np.hstack([linear, acceleration_b, joint])
+    force, com = inverse_dynamics(robot, position[sample], velocity[sample], acceleration[sample])
     base, unturn = motion.root_pos_w[sample], quat_from_yaw(-yaw_from_quat(quat[sample]))
     moment = quat_rotate(quat[sample], force[:, 3:6]) + np.cross(base - com, force[:, :3])
     contact = motion.foot_pos_w[sample] - np.array([0.0, 0.0, robot.foot_radius])

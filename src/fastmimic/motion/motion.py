@@ -16,7 +16,7 @@ from fastmimic.motion.provenance import Provenance
 
 FORMAT_VERSION: Final = 1
 
-_ARRAYS: Final = {  # name -> trailing shape
+ARRAYS: Final = {  # name -> trailing shape
     "root_pos_w": (3,),
     "root_quat_wxyz": (4,),
     "joint_pos": (12,),
@@ -73,7 +73,7 @@ class Motion:
         n = len(self.root_pos_w)
         if n < 2:
             raise MotionError(f"a motion needs at least 2 samples, found {n}")
-        for name, tail in _ARRAYS.items():
+        for name, tail in ARRAYS.items():
             dtype = np.bool_ if name == "contact" else np.float64
             array: NDArray[Any] = np.array(getattr(self, name), dtype=dtype)
             if array.shape != (n, *tail):
@@ -151,10 +151,8 @@ class Motion:
         """Raises `MotionError` if the motion is for another robot."""
         of = self.provenance.robot
         if of is not None and of != name:
-            raise MotionError(
-                f"motion '{self.name}' is for robot '{of}', not for '{name}': give that robot (by its MJCF, if it is"
-                " your own), or retarget its clip"
-            )
+            said = f"motion '{self.name}' is for robot '{of}', not for '{name}'"
+            raise MotionError(f"{said}: give that robot (by its MJCF, if it is your own), or retarget its clip")
 
     def check_rate(self, rate_hz: float, error: type[FastMimicError] = ConfigError) -> None:
         """Raises `ConfigError`, or another error, if the motion has another rate."""
@@ -199,7 +197,7 @@ def _to_arrays(motion: Motion) -> dict[str, Any]:
     return parts | {
         "format_version": np.int64(FORMAT_VERSION),
         "rate_hz": np.float64(motion.rate_hz),
-        **{name: getattr(motion, name) for name in _ARRAYS},
+        **{name: getattr(motion, name) for name in ARRAYS},
         "cycle": np.zeros(0) if motion.cycle is None else motion.cycle,
         "meta_json": np.str_(json.dumps(motion.provenance.as_dict(), sort_keys=True)),
     }
@@ -215,7 +213,7 @@ def _from_arrays(arrays: dict[str, Any]) -> Motion:
         parts.append(_from_arrays(part))
     return Motion(
         rate_hz=float(arrays["rate_hz"]),
-        **{name: arrays[name] for name in _ARRAYS},
+        **{name: arrays[name] for name in ARRAYS},
         cycle=arrays["cycle"] if arrays["cycle"].size else None,
         provenance=Provenance.from_dict(from_json(str(arrays["meta_json"]))),
         demonstration=_from_arrays(demonstration) if demonstration else None,

@@ -74,10 +74,8 @@ class DiscreteDmp:
         n_basis = N_BASIS if n_basis is None else n_basis
         y = checked_samples(samples, "the motion", duration_s=duration_s, n_basis=n_basis)
         if duration_s > MAX_S:
-            raise MotionError(
-                f"a motion that does not repeat lasts {MAX_S:g} s at most, found {duration_s:.1f} s; choose a part"
-                " (--frames)"
-            )
+            said = f"a motion that does not repeat lasts {MAX_S:g} s at most, found {duration_s:.1f} s"
+            raise MotionError(f"{said}; choose a part (--frames)")
         n = max(n_basis, int(np.ceil(_FUNCTIONS_PER_S * duration_s)))
         start_rate = (len(y) - 1) * (-1.5 * y[0] + 2.0 * y[1] - 0.5 * y[2])
         found = cls(np.zeros((y.shape[1], n)), y[0], start_rate, y[-1], float(duration_s))

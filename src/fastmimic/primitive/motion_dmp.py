@@ -96,10 +96,8 @@ def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
     (roll, pitch), yaw = roll_pitch_from_quat(motion.root_quat_wxyz), yaw_from_quat(motion.root_quat_wxyz)
     if np.max(np.abs(pitch)) > _MAX_PITCH:
         sample = int(np.argmax(np.abs(pitch)))
-        raise MotionError(
-            f"motion '{motion.name}' pitches to {np.degrees(pitch[sample]):.0f}° at sample {sample};"
-            f" DMPs need it within ±{np.degrees(_MAX_PITCH):.0f}°"
-        )
+        said = f"motion '{motion.name}' pitches to {np.degrees(pitch[sample]):.0f}° at sample {sample}"
+        raise MotionError(f"{said}; DMPs need it within ±{np.degrees(_MAX_PITCH):.0f}°")
     out = np.empty((motion.n_samples, len(NAMES)))
     out[:, 0:2] = rotate_planar(-heading, motion.root_pos_w[:, :2] - origin)
     out[:, 2] = motion.root_pos_w[:, 2]

@@ -107,8 +107,7 @@ class RhythmicDmp:
         """Complex amplitudes (k, d) of s for k = 0, 1, …, down to rounding error."""
         columns = []
         for centres, dims in _distinct(self.centres):
-            basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
-            columns.append((dims, _filtered(product(basis, self.weights[dims].T))))
+            columns.append((dims, _filtered(product(_fine_basis(centres), self.weights[dims].T))))
         out = np.zeros((max(len(column) for _, column in columns), len(self.weights)), dtype=np.complex128)
         for dims, column in columns:
             out[: len(column), dims] = column
@@ -121,11 +120,12 @@ def _distinct(centres: Array) -> list[tuple[Array, NDArray[np.intp]]]:
     return [(row, np.flatnonzero(group.reshape(-1) == i)) for i, row in enumerate(rows)]
 
 
-def _fine_phases(centres: Array) -> Array:
-    """Evenly spaced phases (m,), fine enough that the spectrum of the narrowest basis function vanishes before m/2."""
+def _fine_basis(centres: Array) -> Array:
+    """The basis functions (m, n) with centres (n,) at evenly spaced phases, fine enough that the spectrum of the
+    narrowest one vanishes before m/2."""
     closest = float(np.min(np.diff(centres, append=centres[0] + 2 * np.pi)))
-    n = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the FFT
-    return 2 * np.pi * np.arange(n) / n
+    m = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the FFT
+    return normalised_basis(2 * np.pi * np.arange(m) / m, centres, basis_widths(centres))
 
 
 def _filtered(forcing: Array) -> NDArray[np.complex128]:
@@ -138,7 +138,7 @@ def _filtered(forcing: Array) -> NDArray[np.complex128]:
 def _fitted_weights(centres: Array, deviation: Array) -> Array:
     """Weights (d, n) with limit cycles closest to `deviation` (t, d), the samples minus their mean."""
     t = len(deviation)
-    basis = normalised_basis(_fine_phases(centres), centres, basis_widths(centres))
+    basis = _fine_basis(centres)
     harmonics = _filtered(basis)
     finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
     response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)

@@ -84,9 +84,8 @@ def make_course_transition(
     """The transition between two cyclic motions, optimised or not; None if no executable one joins them. It joins their
     demonstrations. An optimised motion's difference from its own is blended with the same weights."""
     try:
-        stitched = stitch_motions(
-            robot, [before.target, after.target], [max(2, default_cycles(m)) for m in (before, after)]
-        )
+        cycles = [max(2, default_cycles(motion)) for motion in (before, after)]
+        stitched = stitch_motions(robot, [before.target, after.target], cycles)
     except MotionError:
         return None
     layout = Layout.of(stitched)
@@ -120,9 +119,7 @@ def make_course_transition(
     )
 
 
-PLACE: Final = record_dtype(
-    [*floats(position=(), pose=3), *integers(exit=(), entry=(), left=(), synced=()), *floats(jump=())]
-)
+PLACE: Final = record_dtype([*floats(position=(), pose=3, jump=()), *integers(exit=(), entry=(), left=(), synced=())])
 """Position in a course: row `position` and (x, y, yaw) of its root in the world. Before row `exit` ≥ 1 it continues in
 the next course at row `entry`; −1 for never. `left` and `synced` say whether the last step did so or started a cycle.
 `jump` is the sum of the distances moved by synchronisation, m."""
@@ -154,20 +151,16 @@ class Stream:
         self._work = make_work(robot, self._dt)
         self._scratch = make_place()
 
-    def advance(
-        self, course: Records, following: Records | None, place: Records, root_xy: Array, haste: float = 0.0
-    ) -> None:
+    def advance(self, course: Records, following: Records, place: Records, root_xy: Array, haste: float = 0.0) -> None:
         """Advances `place` by one control step in `course` (t,) of `COURSE` and the `following` one. At the start of a
         cycle x and y are synchronised to the robot's position `root_xy` (2,), m. With the controller's `haste` the feet
         advance by so much more, and the root goes on at its own pace."""
-        other = course if following is None else following
-        _advance(course, other, place[0], 1.0 + max(haste, 0.0), True, root_xy[0], root_xy[1])
+        _advance(course, following, place[0], 1.0 + max(haste, 0.0), True, root_xy[0], root_xy[1])
 
-    def fill(self, course: Records, following: Records | None, place: Records, table: Records) -> None:
+    def fill(self, course: Records, following: Records, place: Records, table: Records) -> None:
         """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame."""
-        other = course if following is None else following
         self._scratch[0] = place[0]
-        _fill(course, other, self._scratch[0], self._work[0], table)
+        _fill(course, following, self._scratch[0], self._work[0], table)
 
 
 @kernel

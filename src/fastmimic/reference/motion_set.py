@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import MotionError, unknown
+from fastmimic.base.errors import MotionError
+from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.course import CourseTransition, Stream, course_of, make_course_transition, make_place
@@ -59,7 +60,8 @@ class MotionSet:
         self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
         self._busy: Future[Any] | None = None
         every = {name: make(robot) for name, make in ALWAYS.items() if name not in motions} | dict(motions)
-        self.entries = {name: _entry(name, each, robot, rate_hz, self._regulator) for name, each in every.items()}
+        entries = (_entry(name, each, robot, rate_hz, self._regulator) for name, each in every.items())
+        self.entries = Registry("motion", entries)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -68,8 +70,6 @@ class MotionSet:
 
     def entry(self, name: str) -> Entry:
         """A motion; raises `ConfigError` for an unknown name."""
-        if name not in self.entries:
-            raise unknown("motion", name, self.names)
         return self.entries[name]
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
@@ -125,8 +125,7 @@ class MotionSet:
 def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float, regulator: RegulatorConfig) -> Entry:
     if motion.cycle is None:
         raise MotionError(f"motion '{name}' does not repeat; only cyclic motions can be played")
-    if abs(motion.rate_hz - rate_hz) > 1e-9:
-        raise MotionError(f"motion '{name}' has {motion.rate_hz:g} samples a second; expected {rate_hz:g}")
+    motion.check_rate(rate_hz, MotionError)
     motion.check_robot(robot.name)
     course = course_of(motion, robot)
     demonstration = course if motion.demonstration is None else course_of(motion.demonstration, robot)
@@ -135,8 +134,7 @@ def _entry(name: str, motion: Motion, robot: Robot, rate_hz: float, regulator: R
 
 def in_place(robot: Robot) -> Motion:
     """The built-in trot without travel."""
-    motion, _ = retarget(open_clip("trot", robot=robot, speed=0.0), robot)
-    return motion
+    return retarget(open_clip("trot", robot=robot, speed=0.0), robot)[0]
 
 
 ALWAYS: Final = {STAND: standing, IN_PLACE: in_place}
@@ -227,13 +225,11 @@ class LiveReference:
         if self.place["left"][0]:
             self._arrived()
 
-    def _courses(self, scored: bool = False) -> tuple[NDArray[Any], NDArray[Any] | None]:
-        """The present course and the next, if known; if `scored`, those of the demonstration."""
-        armed = None if self._armed is None else self._armed[1]
+    def _courses(self, scored: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The present course and the next, the same if none is known; if `scored`, those of the demonstration."""
+        armed = self._entry if self._armed is None else self._armed[1]
         now, after = (self._entry, armed) if self._transition is None else (self._transition, self._following)
-        if scored:
-            return now.demonstration, None if after is None else after.demonstration
-        return now.course, None if after is None else after.course
+        return (now.demonstration, after.demonstration) if scored else (now.course, after.course)
 
     def update(self) -> None:
         """Looks for a path to the goal, and starts it."""

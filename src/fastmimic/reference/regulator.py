@@ -57,9 +57,8 @@ def regulator_gains(
     model = _Model(table, robot, config, dt, turn)
     n = len(model.step)
     gains = np.zeros(n, GAINS)
-    gains["landing"], gains["side"] = _until_landing(
-        table[::GAIN_SAMPLES]["contact"] == 1, model.step, turn is not None, np.sign(robot.hip_pos_b[:, 1])
-    )
+    stands, side = table[::GAIN_SAMPLES]["contact"] == 1, np.sign(robot.hip_pos_b[:, 1])
+    gains["landing"], gains["side"] = _until_landing(stands, model.step, turn is not None, side)
     end = _state_cost(config)
     value, rounds = _END * end, 1
     if turn is not None:
@@ -153,9 +152,8 @@ class _Model:
         wanted = [turned_about_z(node[f"{name}_acc"] + node[f"leg_{name}_acc"], -yaw) for name in ("lin", "ang")]
         wanted[0][:, 2] += GRAVITY
         # the reference's forces: the least, for feet that are loaded
-        force = np.einsum(
-            "nfr,nr->nf", np.linalg.pinv(by_force * share[:, None], rcond=1e-4), np.concatenate(wanted, axis=1)
-        )
+        by_wanted = np.linalg.pinv(by_force * share[:, None], rcond=1e-4)
+        force = np.einsum("nfr,nr->nf", by_wanted, np.concatenate(wanted, axis=1))
         force = _cross((share * force).reshape(n, 4, 3))
         by_force *= np.repeat(stands, 3, axis=1)[:, None]
 

@@ -22,8 +22,7 @@ _PATH_ROWS: Final = 33
 
 def standing(robot: Robot) -> Motion:
     """A standing animal, retargeted like any other motion."""
-    motion, _ = retarget(keypoints(_STILL, {"name": STAND}), robot)
-    return motion
+    return retarget(keypoints(_STILL, {"name": STAND}), robot)[0]
 
 
 def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:

@@ -61,11 +61,8 @@ class RetargetConfig:
 
 
 def _scaled(settings: _Settings, factor: float) -> _Settings:
-    changes: dict[str, Any] = {
-        name: factor * getattr(settings, name)
-        for name, (known, _) in parameters(settings).items()
-        if known.scale == "length"
-    }
+    lengths = [name for name, (known, _) in parameters(settings).items() if known.scale == "length"]
+    changes: dict[str, Any] = {name: factor * getattr(settings, name) for name in lengths}
     for part in dataclasses.fields(settings):  # type: ignore[arg-type]
         value = getattr(settings, part.name)
         if dataclasses.is_dataclass(value):

@@ -181,9 +181,8 @@ def _widen_swings(stances: Stances, n: int, shortest: int, periodic: bool) -> tu
                 if 2 * lack > shortest and spans:
                     result[leg] = _moved(result[leg], lift_off, touch_down, touch_down, lift_off, 2 * n)
             elif lack > 0:
-                moved = _moved(
-                    result[leg], lift_off, lift_off - lack // 2, touch_down, touch_down + lack - lack // 2, n
-                )
+                earlier, later = lift_off - lack // 2, touch_down + lack - lack // 2
+                moved = _moved(result[leg], lift_off, earlier, touch_down, later, n)
                 if all(span.duration > shortest // 2 for span in moved):
                     result[leg] = sorted(_from_zero(span, n) for span in moved)
                     widened += 1
@@ -204,10 +203,8 @@ def _close_flights(stances: Stances, n: int, shortest: int, longest: float, peri
         beginning = [s for leg in stances for s in leg if (s.touch_down - end) % n == 0]
         later = min(half, max(0, min(int(longest) - s.duration for s in ending)))
         earlier = min(end - start - half, max(0, min(int(longest) - s.duration for s in beginning)))
-        stances = [
-            sorted(_from_zero(s, n) for s in _moved(leg, start, start + later, end, end - earlier, n))
-            for leg in stances
-        ]
+        moved = [_moved(leg, start, start + later, end, end - earlier, n) for leg in stances]
+        stances = [sorted(_from_zero(stance, n) for stance in leg) for leg in moved]
         closed += later + earlier == end - start
     return stances, closed
 

@@ -83,16 +83,13 @@ class RetargetReport:
     starts from."""
 
     def as_dict(self) -> dict[str, Any]:
-        found: dict[str, Any] = plain(asdict(self))
-        return found
+        return plain(asdict(self))
 
     def lines(self) -> list[str]:
         """The report for a human."""
         before, after = self.before, self.after
-        speeds = ", ".join(
-            f"{name} {peak:.1f} of {limit:.0f}"
-            for name, peak, limit in zip(JOINTS_PER_LEG, self.joint_speed_peak, self.joint_speed_limit, strict=True)
-        )
+        joints = zip(JOINTS_PER_LEG, self.joint_speed_peak, self.joint_speed_limit, strict=True)
+        speeds = ", ".join(f"{name} {peak:.1f} of {limit:.0f}" for name, peak, limit in joints)
         period = f"period {before.period_s:.4f} → {after.period_s:.4f} s"
         speed = f"speed {before.speed_m_per_s:.3f} → {after.speed_m_per_s:.3f} m/s"
         yaw = f"yaw {before.yaw_deg:.1f} → {after.yaw_deg:.1f}°"
@@ -261,16 +258,14 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
     duty = max(abs(a - b) for a, b in zip(before.duty, after.duty, strict=True))
     joint_speed = max(a / b for a, b in zip(report.joint_speed_peak, report.joint_speed_limit, strict=True))
     held = f"{sum(report.unreachable)} samples out of reach, {sum(report.joint_limited)} at a joint limit"
-    low = clearance < MIN_CLEARANCE_SHARE
+    low, lift = clearance < MIN_CLEARANCE_SHARE, "swing clearance, share of the animal's"
     found = [
         _at_most("slip in stance, m", max(after.slip_m), MAX_SLIP_M, held),
         _at_most("cycle closure, m", after.closure_m, MAX_CLOSURE_M, held),
         _at_most("cycle closure, deg", after.closure_deg, MAX_CLOSURE_DEG, ""),
         _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed"),
         _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
-        RetargetBound(
-            "swing clearance, share of the animal's", clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""
-        ),
+        RetargetBound(lift, clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""),
         _at_most("duty change", duty, MAX_DUTY_CHANGE, ", ".join(report.changes.reasons())),
         _at_most(_JOINT_SPEED, joint_speed, 1.0, "the animal's legs move faster than the motors can"),
     ]

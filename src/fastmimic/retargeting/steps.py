@@ -200,10 +200,8 @@ def _held_frames(source: ScaledClip, config: RetargetConfig) -> int:
         return 0
     held = source.held(frames)
     activity = foot_activity(held.toe_height, held.toe_speed, held.rate_hz, False, config.contact)
-    stands = all(
-        leg and leg[-1].lift_off == len(held.heading) and leg[-1].touch_down <= len(source.heading) - 1
-        for leg in detect(activity, held.rate_hz, False, config.contact)
-    )
+    legs, last = detect(activity, held.rate_hz, False, config.contact), len(source.heading) - 1
+    stands = all(leg and leg[-1].lift_off == len(held.heading) and leg[-1].touch_down <= last for leg in legs)
     return frames if stands else 0
 
 
@@ -254,12 +252,8 @@ def within_folded_legs(source: ScaledClip, robot: Robot, lowered_m: float, confi
     changed = np.any(raised != girdle, axis=1)
     pitch = np.where(changed, -np.arcsin(np.clip(new_slope, -1.0, 1.0)), source.tilt[:, 1])
     root_z = source.root_z + np.where(changed, rise, 0.0)
-    return replace(
-        source,
-        root_z=root_z,
-        tilt=np.stack([source.tilt[:, 0], pitch], axis=-1),
-        hip_height=source.hip_height + float(root_z.mean()) - mean,
-    )
+    hip_height = source.hip_height + float(root_z.mean()) - mean
+    return replace(source, root_z=root_z, tilt=np.stack([source.tilt[:, 0], pitch], axis=-1), hip_height=hip_height)
 
 
 def _no_lower(value: Array, least: Array, soft: float) -> Array:

@@ -132,10 +132,8 @@ def _files_digest(spec: mujoco.MjSpec) -> str:
     folder, found = Path(spec.modelfiledir) / spec.compiler.meshdir, hashlib.sha256()
     for name in names:
         found.update(name.encode())
-        try:
+        with suppress(OSError):  # one of MuJoCo's own resources
             found.update((folder / name).read_bytes())
-        except OSError:  # one of MuJoCo's own resources
-            continue
     return found.hexdigest()
 
 
@@ -148,18 +146,16 @@ def _trunk(model: mujoco.MjModel) -> int:
     hinges = int(np.sum(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE))
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1 or hinges != 12 or model.njnt != 13:
-        raise RobotError(
-            f"expected one free joint and 12 hinge joints (abduction, hip, knee in each of four legs);"
-            f" found {len(free)} free, {hinges} hinge and {model.njnt - len(free) - hinges} other joints"
-        )
+        found = f"{len(free)} free, {hinges} hinge and {model.njnt - len(free) - hinges} other joints"
+        expected = "one free joint and 12 hinge joints (abduction, hip, knee in each of four legs)"
+        raise RobotError(f"expected {expected}; found {found}")
     return int(model.jnt_bodyid[free[0]])
 
 
 def _leg_roots(model: mujoco.MjModel, trunk: int) -> list[int]:
     """Bodies with a hinge directly below the trunk, apart from fixed bodies."""
-    roots = [
-        int(b) for b in range(trunk + 1, model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == trunk
-    ]
+    below = range(trunk + 1, model.nbody)
+    roots = [body for body in below if model.body_jntnum[body] and _moving_parent(model, body) == trunk]
     if len(roots) != 4:
         raise RobotError(f"expected 4 legs on body '{model.body(trunk).name}', found {len(roots)}")
     return roots
@@ -196,10 +192,9 @@ def _reversed(model: mujoco.MjModel, at_zero: mujoco.MjData, chain: list[int]) -
         if np.max(np.abs(axis + common)) <= _AXIS_TOLERANCE:
             found.append(joint)
         elif np.max(np.abs(axis - common)) > _AXIS_TOLERANCE:
-            raise RobotError(
-                f"{role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()};"
-                f" expected {list(_AXES[role])} (x forward, y left), or its opposite, when all joints are at zero"
-            )
+            said = f"{role} joint '{model.joint(joint).name}' turns about {np.round(axis, 3).tolist()}"
+            expected = f"{list(_AXES[role])} (x forward, y left), or its opposite, when all joints are at zero"
+            raise RobotError(f"{said}; expected {expected}")
     return found
 
 
@@ -290,9 +285,8 @@ def _composite(model: mujoco.MjModel, body: int) -> tuple[float, Array, Array]:
         parts.append((float(model.body_mass[b]), com, rotation @ np.diag(model.body_inertia[b]) @ rotation.T))
         for child in range(b + 1, model.nbody):
             if model.body_parentid[child] == b and not model.body_jntnum[child]:
-                collect(
-                    child, pos + quat_rotate(quat, model.body_pos[child]), quat_multiply(quat, model.body_quat[child])
-                )
+                at = pos + quat_rotate(quat, model.body_pos[child])
+                collect(child, at, quat_multiply(quat, model.body_quat[child]))
 
     collect(body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     return combined(parts)
@@ -325,10 +319,8 @@ def _torque_limits(model: mujoco.MjModel, joints: list[int]) -> Array:
                 gain = model.actuator_gainprm[actuator, 0]
                 candidates.append(gear * gain * model.actuator_ctrlrange[actuator, 1])
         if not candidates or min(candidates) <= 0:
-            raise RobotError(
-                f"joint '{model.joint(joint).name}' has no torque limit;"
-                " give its actuator a forcerange or the joint an actuatorfrcrange"
-            )
+            said = f"joint '{model.joint(joint).name}' has no torque limit"
+            raise RobotError(f"{said}; give its actuator a forcerange or the joint an actuatorfrcrange")
         limits[i] = min(candidates)
     return limits
 

@@ -16,10 +16,9 @@ specific force, m/s², both in the body frame at its origin; joint angles, speed
 the force along the vertical on each foot, N."""
 
 OBSERVATION: Final = record_dtype(
-    [
-        *floats(root_pos=3, root_quat=4, lin_vel=3, ang_vel=3, joint_pos=12, joint_vel=12),
-        *floats(foot_force=(4, 3), other_contact=()),
-    ]
+    floats(
+        root_pos=3, root_quat=4, lin_vel=3, ang_vel=3, joint_pos=12, joint_vel=12, foot_force=(4, 3), other_contact=()
+    )
 )
 """State of one robot: base pose and velocities in the world frame, joints, ground force on each foot (world frame, N),
 and the number of ground contacts other than feet, on terrain of the trunk."""
@@ -69,12 +68,8 @@ MODEL: Final = record_dtype(
 def pack_model(robot: Robot) -> NDArray[Any]:
     """Packs a robot as an array of one `MODEL` record."""
     record = np.zeros(1, MODEL)
-    given = {
-        "inertia": robot.inertia_b,
-        "trunk_moment": robot.trunk_mass * robot.trunk_com_b,
-        "lower": robot.joint_lower,
-        "upper": robot.joint_upper,
-    }
+    given = {"inertia": robot.inertia_b, "lower": robot.joint_lower, "upper": robot.joint_upper}
+    given["trunk_moment"] = robot.trunk_mass * robot.trunk_com_b
     for name in MODEL.names or ():
         record[name] = given[name] if name in given else getattr(robot, name)
     return record

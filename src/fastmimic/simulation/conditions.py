@@ -48,10 +48,8 @@ class Disturbance:
             raise ConfigError(f"disturbance '{self.name}' has no value")
         for value in self.values:
             if math.isnan(value) or not kind.lower <= value <= kind.upper:
-                raise ConfigError(
-                    f"{self.among.kind} '{self.name}' takes {kind.show(kind.lower)} to {kind.show(kind.upper)},"
-                    f" found {value:g}: {kind.about}"
-                )
+                takes = f"{self.among.kind} '{self.name}' takes {kind.limits}"
+                raise ConfigError(f"{takes}, found {value:g}: {kind.about}")
         if len(self.values) > 1 and not kind.per_robot:
             raise ConfigError(f"{self.among.kind} '{self.name}' has one value for all robots, found {len(self.values)}")
         if kind.timed:
@@ -69,10 +67,8 @@ class Disturbance:
     def check_realized(self, simulator: str) -> None:
         """Raises `ConfigError` if a simulator does not have it."""
         if not self.kind.realized_in(simulator):
-            raise ConfigError(
-                f"{self.among.kind} '{self.name}' is not realised in {simulator}; those that are:"
-                f" {', '.join(known(simulator, self.among))}"
-            )
+            said = f"{self.among.kind} '{self.name}' is not realised in {simulator}"
+            raise ConfigError(f"{said}; those that are: {', '.join(known(simulator, self.among))}")
 
     def __str__(self) -> str:
         shown = self.kind.show(self.values[0]) if len(self.values) == 1 else f"{len(self.values)} values"
@@ -83,10 +79,8 @@ def parse_disturbance(text: str) -> Disturbance:
     """A disturbance from `name=value` or `name=value@time` (s); raises `ConfigError` for any other text."""
     found = re.fullmatch(r"\s*([\w-]+)\s*=\s*([^@]+?)\s*(?:@\s*([^@]+?)\s*)?", text)
     if found is None:
-        raise ConfigError(
-            f"a disturbance is written name=value, such as payload=2 or push=10@2.5; found '{text}'."
-            f" There are {', '.join(DISTURBANCES)}"
-        )
+        said = f"a disturbance is written name=value, such as payload=2 or push=10@2.5; found '{text}'"
+        raise ConfigError(f"{said}. There are {', '.join(DISTURBANCES)}")
     name, value, at = found.groups()
     kind = DISTURBANCES[name]
     try:
@@ -112,10 +106,9 @@ def parse_terrain(text: str) -> TerrainLevel:
     try:
         return TerrainLevel(name, (float(level or terrain_kind(name).given),))
     except ValueError:
-        raise ConfigError(
-            "a terrain is written name=level, such as stairs-up=0.05, or as a file of heights, such as hills.npy or"
-            f" hills.png@0.05=0.3; found '{text}'. There are {', '.join(TERRAINS)}"
-        ) from None
+        forms = "name=level, such as stairs-up=0.05, or as a file of heights, such as hills.npy or hills.png@0.05=0.3"
+        said = f"a terrain is written {forms}; found '{text}'"
+        raise ConfigError(f"{said}. There are {', '.join(TERRAINS)}") from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,10 +237,8 @@ class Range:
             raise ConfigError(f"'{self.name}' cannot differ between robots; what can: {', '.join(usual_ranges())}")
         finite = math.isfinite(self.lower) and math.isfinite(self.upper)
         if not (finite and kind.lower <= self.lower <= self.upper <= kind.upper):
-            raise ConfigError(
-                f"'{self.name}' takes a range within {kind.show(kind.lower)} to {kind.show(kind.upper)}, found"
-                f" {self.lower:g} to {self.upper:g}: {kind.about}"
-            )
+            found = f"{self.lower:g} to {self.upper:g}"
+            raise ConfigError(f"'{self.name}' takes a range within {kind.limits}, found {found}: {kind.about}")
 
     def __str__(self) -> str:
         unit = DISTURBANCES[self.name].unit
@@ -274,10 +265,9 @@ def parse_range(text: str) -> Range:
         return usual_range(name) if lower is None else Range(name, float(lower), float(upper))
     except ValueError:
         name = re.match(r"\s*([\w-]*)", text)[1]  # type: ignore[index]  # it matches anything
-        raise ConfigError(
-            f"a range is written name=lower:upper, such as friction=0.4:1.2, or name for the usual one; found '{text}'."
-            f" There are {', '.join(usual_ranges())}{did_you_mean(name, usual_ranges())}"
-        ) from None
+        said = "a range is written name=lower:upper, such as friction=0.4:1.2, or name for the usual one"
+        there = f"{', '.join(usual_ranges())}{did_you_mean(name, usual_ranges())}"
+        raise ConfigError(f"{said}; found '{text}'. There are {there}") from None
 
 
 def check_once(ranges: Sequence[Range]) -> None:

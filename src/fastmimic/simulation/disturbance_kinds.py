@@ -62,6 +62,11 @@ class DisturbanceKind:
         everywhere = self.sensed or self.each_step is not None
         return everywhere or simulator in self.apply or self.name in SIMULATORS[simulator].realizes
 
+    @property
+    def limits(self) -> str:
+        """The lowest and the highest value, in words."""
+        return f"{self.show(self.lower)} to {self.show(self.upper)}"
+
     def show(self, value: float) -> str:
         """A value with its unit."""
         return f"{value:g} {self.unit}".strip()
@@ -136,7 +141,6 @@ def _built_in(said: dict[str, Any]) -> DisturbanceKind:
 
 
 _Said = dict[str, str | bool | float | tuple[float | None, ...]]
-DISTURBANCES: Final = Registry(
-    "disturbance", map(_built_in, packaged("fastmimic.simulation", "disturbances.json", list[_Said]))
-)
+_SAID: Final = packaged("fastmimic.simulation", "disturbances.json", list[_Said])
+DISTURBANCES: Final = Registry("disturbance", map(_built_in, _SAID))
 """All disturbances, in the order in which their random values are drawn."""

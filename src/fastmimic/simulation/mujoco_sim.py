@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
-from fastmimic.base.vectors import quat_turned
+from fastmimic.base.vectors import copy, quat_turned
 from fastmimic.robot import Robot
 from fastmimic.robot.mjcf import warn_by_log
 from fastmimic.simulation.conditions import Disturbance, Disturbed, make_world
@@ -35,10 +35,10 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
     """The robot on a floor (`ground`; None for flat), with motors that take stiffness and damping, and foot sensors.
 
     The floor collides with the robot and, unless `ideal`, thighs, calves and feet with those of other legs. Feet are
-    hard points with the file's sliding friction. Two other contact
-    properties of the file are left out, as a controller cannot count on such feet: resistance to rolling (in one
-    elliptic cone, a foot that rolls at a calf's rate has little friction left against slipping) and softness (feet sink
-    by up to their radius). Geoms of the last link that would touch the ground before a standing foot do not collide.
+    hard points with the file's sliding friction. Two other contact properties of the file are left out, as a controller
+    cannot count on such feet: resistance to rolling (in one elliptic cone, a foot that rolls at a calf's rate has
+    little friction left against slipping) and softness (feet sink by up to their radius). Geoms of the last link that
+    would touch the ground before a standing foot do not collide.
     """
     warn_by_log()
     spec, plain = robot.spec(), mujoco.MjSpec().default.geom
@@ -64,15 +64,14 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         actuator.forcelimited = True
         actuator.forcerange = [-limit, limit]
-    # found (1) and the net force in the world frame (3)
-    wanted = (1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)) | (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE))
+    found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+    wanted = found | 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)  # (1) and the net force in the world frame (3)
     body, sphere = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
     touched = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": body, "objname": WORLD}
     for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):  # 3: the net force
         foot = spec.add_sensor(name=f"{leg}_ground_force", **touched, intprm=[wanted, 3, 1])
         foot.reftype, foot.refname = sphere, geom
     trunk = {} if ground is None else {"reftype": body, "refname": _trunk_of(spec, robot)}
-    found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
     spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]
@@ -117,11 +116,8 @@ def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
             mujoco.mj_kinematics(model, data)
             data.qpos[free + 2] -= data.geom_xpos[foot, 2] - robot.foot_radius
             mujoco.mj_kinematics(model, data)
-            found |= {
-                g
-                for g in others
-                if mujoco.mj_geomDistance(model, data, floor, g, 1.0, points) < FOOT_FIRST * robot.foot_radius
-            }
+            near = FOOT_FIRST * robot.foot_radius
+            found |= {g for g in others if mujoco.mj_geomDistance(model, data, floor, g, 1.0, points) < near}
     return sorted(found)
 
 
@@ -135,13 +131,8 @@ def floor_shapes(spec: mujoco.MjSpec, ground: Terrain | None) -> dict[str, dict[
         return {FLOOR: {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 0.05], **tilt}}
     heights = ground.field.heights
     lowest, rise = float(heights.min()), max(float(np.ptp(heights)), 1e-6)
-    spec.add_hfield(
-        name=FLOOR,
-        size=[*ground.field.half, rise, 0.1],
-        nrow=heights.shape[0],
-        ncol=heights.shape[1],
-        userdata=((heights - lowest) / rise).ravel(),
-    )
+    size, (rows, columns) = [*ground.field.half, rise, 0.1], heights.shape
+    spec.add_hfield(name=FLOOR, size=size, nrow=rows, ncol=columns, userdata=((heights - lowest) / rise).ravel())
     return {FLOOR: {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": FLOOR, "pos": [0, 0, lowest]}}
 
 
@@ -151,11 +142,9 @@ def _observe(qpos: Array, qvel: Array, sensors: Array, index: Any, out: Any) -> 
     the contacts that the last sensor counts are the feet's, too."""
     for i in range(out.shape[0]):
         o = out[i]
-        for k in range(3):
-            o.root_pos[k] = qpos[i, k]
-            o.lin_vel[k] = qvel[i, k]
-        for k in range(4):
-            o.root_quat[k] = qpos[i, 3 + k]
+        copy(qpos[i, :3], o.root_pos)
+        copy(qpos[i, 3:7], o.root_quat)
+        copy(qvel[i, :3], o.lin_vel)
         spin = (qvel[i, 3], qvel[i, 4], qvel[i, 5])  # the free joint's angular velocity, in the body frame
         o.ang_vel[0], o.ang_vel[1], o.ang_vel[2] = quat_turned(o.root_quat, spin)
         for j in range(12):
@@ -164,8 +153,7 @@ def _observe(qpos: Array, qvel: Array, sensors: Array, index: Any, out: Any) -> 
         found = 0.0
         for leg in range(4):
             found += sensors[i, 4 * leg]
-            for k in range(3):
-                o.foot_force[leg, k] = sensors[i, 4 * leg + 1 + k]
+            copy(sensors[i, 4 * leg + 1 : 4 * leg + 4], o.foot_force[leg])
         o.other_contact = sensors[i, 16] - found * index[24]
 
 

@@ -231,10 +231,8 @@ def _check_fit(body: _Body, robot: Robot) -> None:
         joints = rng.uniform(robot.joint_lower, robot.joint_upper)
         apart = float(np.abs(body.feet(joints) - foot_positions(robot, joints)).max())
         if apart > _FIT_M:
-            raise ConfigError(
-                f"PyBullet's description of '{robot.name}' has other legs than the given model: its feet are"
-                f" {1e3 * apart:.0f} mm apart; run it in mujoco"
-            )
+            said = f"PyBullet's description of '{robot.name}' has other legs than the given model"
+            raise ConfigError(f"{said}: its feet are {1e3 * apart:.0f} mm apart; run it in mujoco")
 
 
 def _ground(bullet: Any, ground: Terrain | None) -> int:
@@ -268,9 +266,8 @@ def read_description(robot: Robot) -> str:
     import pybullet_data
 
     if robot.name not in PYBULLET_URDFS:
-        raise ConfigError(
-            f"PyBullet has a description of {' and '.join(PYBULLET_URDFS)}, none of '{robot.name}'; run it in mujoco"
-        )
+        there = " and ".join(PYBULLET_URDFS)
+        raise ConfigError(f"PyBullet has a description of {there}, none of '{robot.name}'; run it in mujoco")
     path = Path(pybullet_data.getDataPath()) / PYBULLET_URDFS[robot.name]
     tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
     for link in tree.iter("link"):

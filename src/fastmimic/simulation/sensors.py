@@ -41,12 +41,8 @@ _NOISE: Final = record_dtype(
 _DRAWN: Final = _NOISE.itemsize // 8
 
 _CONFIG: Final = record_dtype(
-    [
-        *floats(dt=(), torque_limit=12),
-        *integers(periods=3, delays=3),  # control steps between readings of IMU, joints and feet, and until they arrive
-        *record_fields(SensorConfig),
-    ]
-)
+    [*floats(dt=(), torque_limit=12), *integers(periods=3, delays=3), *record_fields(SensorConfig)]
+)  # `periods` and `delays` are control steps between readings of IMU, joints and feet, and until they arrive
 
 
 def _pack(config: SensorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
@@ -98,9 +94,8 @@ def _measure_joints(c: Any, errors: Any, noise: Any, truth: Any, command: Any, o
     """Angles, speeds and the torques that the motors make of the command."""
     for j in range(12):
         q, dq = truth.joint_pos[j], truth.joint_vel[j]
-        out.joint_pos[j] = _rounded(
-            q + errors.joint_offset[j] + c.joint_pos_noise * noise.joint_pos[j], c.joint_pos_quantum
-        )
+        angle = q + errors.joint_offset[j] + c.joint_pos_noise * noise.joint_pos[j]
+        out.joint_pos[j] = _rounded(angle, c.joint_pos_quantum)
         out.joint_vel[j] = _rounded(dq + c.joint_vel_noise * noise.joint_vel[j], c.joint_vel_quantum)
         torque = command.torque[j] + command.stiffness[j] * (command.joint_pos[j] - q)
         torque += command.damping[j] * (command.joint_vel[j] - dq)
@@ -160,7 +155,8 @@ def _measure(
 
 
 class Sensors:
-    """The sensors of n robots. A robot's noise depends on its own generator alone."""
+    """The sensors of n robots. A robot's noise depends on its own generator alone. `command` is what `to_motors` last
+    made."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, config: SensorConfig, world: World | None = None) -> None:
         """`world` holds the robots' disturbances: the delay of the motors' commands, and the foot sensors'
@@ -175,7 +171,7 @@ class Sensors:
         self._generators: Sequence[np.random.Generator] = ()
         self._work = np.zeros((4, 3))
         self._step = 0
-        self._command = np.zeros(n, COMMAND)
+        self.command = np.zeros(n, COMMAND)
         self.reading = np.zeros(n, READING)
 
     def reset(self, generators: Sequence[np.random.Generator], truth: NDArray[Any]) -> NDArray[Any]:
@@ -216,6 +212,6 @@ class Sensors:
     def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
         """Commands (n,) of `COMMAND` as motors with encoder offsets take them: they close their position loops on what
         they measure. Overwritten by the next call."""
-        self._command[...] = commands
-        self._command["joint_pos"] -= self._errors["joint_offset"]
-        return self._command
+        self.command[...] = commands
+        self.command["joint_pos"] -= self._errors["joint_offset"]
+        return self.command

@@ -87,22 +87,18 @@ def _check_pybullet(robot: Robot) -> None:
     PybulletSimulation(robot, 1).close()
 
 
-_MOTORS: Final = ("motor-strength", "top-speed", "delay")
-_PUSHES: Final = ("push", "side-push")
+_EVERYWHERE: Final = ("motor-strength", "top-speed", "delay", "push", "side-push")
 
 SIMULATORS: Final = Registry(
     "simulator",
     [
-        Simulator("mujoco", "where motions are optimised", _mujoco, realizes=(*_MOTORS, *_PUSHES)),
+        Simulator("mujoco", "where motions are optimised", _mujoco, realizes=_EVERYWHERE),
         Simulator(
             "pybullet",
             "slower, with the manufacturer's URDF",
             _pybullet,
             _check_pybullet,
-            realizes=(
-                *("friction", "payload", "com-x", "com-y"),
-                *(*_MOTORS, "joint-friction", "joint-damping", *_PUSHES),
-            ),
+            realizes=(*_EVERYWHERE, "friction", "payload", "com-x", "com-y", "joint-friction", "joint-damping"),
             needs=("pybullet", "pybullet_data", "pybullet_utils"),
             robots=tuple(PYBULLET_URDFS),
         ),
@@ -124,7 +120,6 @@ def substeps_of(control_rate_hz: float) -> int:
     """Physics steps in a control step; raises `ConfigError` if they are not a whole number."""
     substeps = PHYSICS_RATE_HZ / control_rate_hz
     if substeps < 1 or abs(substeps - round(substeps)) > 1e-9:
-        raise ConfigError(
-            f"the physics rate ({PHYSICS_RATE_HZ:g} Hz) must be a multiple of the control rate ({control_rate_hz:g} Hz)"
-        )
+        physics = f"the physics rate ({PHYSICS_RATE_HZ:g} Hz)"
+        raise ConfigError(f"{physics} must be a multiple of the control rate ({control_rate_hz:g} Hz)")
     return round(substeps)

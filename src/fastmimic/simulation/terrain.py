@@ -59,8 +59,7 @@ class GroundPlane(NamedTuple):
         return quat_rotate(self.quat, np.array([0.0, 0.0, 1.0]))
 
     def laid(self, position: Array, quat: Array) -> tuple[Array, Array]:
-        """Positions (…, 3) and orientations (…, 4) above level ground as they are above this one, with their x and
-        y."""
+        """Positions (…, 3) and orientations (…, 4) above level ground, with their x and y, above this one."""
         above = position.copy()
         above[..., 2] = self.height + position[..., 2] / self.normal[..., 2]
         return above, quat_multiply(self.quat, quat)
@@ -138,8 +137,7 @@ class Terrain:
         return np.asarray(self.height(x[..., None] + around[:, 0], y[..., None] + around[:, 1]).max(axis=-1))
 
     def plane_through(self, root: Array, feet: Array, radius: float) -> GroundPlane:
-        """The planes nearest to the ground under feet (n, 4, ≥2) of robots at (n, ≥2), world, m; holes are left
-        out."""
+        """The planes nearest to the ground, but for holes, under feet (n, 4, ≥2) of robots at (n, ≥2), world, m."""
         away = feet[..., :2] - root[:, None, :2]
         ground, mean = self.support(feet[..., 0], feet[..., 1], radius), self.plane(feet[..., 0], feet[..., 1]).height
         ground = np.where(ground < mean - HOLE_M, mean, ground)

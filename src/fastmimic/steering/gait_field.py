@@ -31,6 +31,7 @@ from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import standing
 from fastmimic.retargeting.retarget import is_one_cycle, retarget
 from fastmimic.robot import Robot, load_robot
+from fastmimic.robot.robot import length_ratio
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import falls_with, nearest_executable
 from fastmimic.trajectory.solved import Remembered
@@ -47,7 +48,6 @@ _KEPT: Final = (
     TrajectoryConfig(keep_time=True),
 )
 _SAME_CONTACT: Final = 0.97  # share of a gait's contacts that stay
-_A1_LEG_M: Final = 0.4
 _SEEN: Final = 0.01  # m/s or rad/s
 
 
@@ -79,10 +79,9 @@ class Grid:
 @dataclass(frozen=True, eq=False)
 class GaitField:
     """A gait of one robot by velocity, at `RATE_HZ` control steps a second, and another one that is `slower`. The
-    grid's axes are `forwards` (a,) and `sideways`
-    (b,), m/s, and turn rates to the right, none, and to the left, of `turning` (a,), rad/s. `rows` (k + 1, t) of
-    `COURSE` are one period of each gait in the order of the axes, and last of standing; `gains` (k + 1, g) of `GAINS`
-    are theirs, one for each `GAIN_SAMPLES` rows."""
+    grid's axes are `forwards` (a,) and `sideways` (b,), m/s, and turn rates to the right, none, and to the left, of
+    `turning` (a,), rad/s. `rows` (k + 1, t) of `COURSE` are one period of each gait in the order of the axes, and last
+    of standing; `gains` (k + 1, g) of `GAINS` are theirs, one for each `GAIN_SAMPLES` rows."""
 
     name: str
     robot: Robot
@@ -134,7 +133,7 @@ def gait_field(
         if not is_one_cycle(clip):
             name = clip.meta.get("name", "the clip")
             raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
-    size, found = robot.leg_length / _A1_LEG_M, None
+    size, found = length_ratio(robot), None
     for k, clip in enumerate(clips):
         own = grid if k == len(clips) - 1 else slow(_speed(clip, robot) / size)
         found = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))

@@ -42,18 +42,17 @@ _FEET: Final = np.array([[_FOOT + 3 * leg, _FOOT + 3 * leg + 1] for leg in range
 STEERED: Final = record_dtype(
     [
         *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=(), fades=(), offset=_WIDTH),
-        *floats(
-            foothold=(4, 2), away=(4, 2), lifted=(4, 2), leaving=(4, 2), since=4, lasts=4, before=(4, 3), feet=(4, 3)
-        ),
+        *floats(foothold=(4, 2), away=(4, 2), lifted=(4, 2), leaving=(4, 2), since=4, lasts=4),
+        *floats(before=(4, 3), feet=(4, 3)),
         *integers(swings=4, standing=(), synced=()),
     ]
 )
 """A steered reference: the `position` in the gaits' period, rows; x, y, m, and yaw, rad, of its root; the `wanted`
 velocity, the present one and its rate, heading frame, m, rad, s; the share of standing in the mixture; the sum of the
 distances moved by synchronisation, m; the `offset` of the gait before from the present one, which `fades` from 1 to
-0. Of each foot: its place while it stands, world, m; how far `away` it is from
-where the gaits have it, heading frame, m, and how far when it lifted off, `leaving` at so many m/s; the time since then
-and until it is where the gaits have it, s; where the `feet` are, and were `before` the last step, body frame, m."""
+0. Of each foot: its place while it stands, world, m; how far `away` it is from where the gaits have it, heading frame,
+m, and how far when it lifted off, `leaving` at so many m/s; the time since then and until it is where the gaits have
+it, s; where the `feet` are, and were `before` the last step, body frame, m."""
 
 _MIXTURE: Final = record_dtype([*floats(weight=9, values=_WIDTH, tilt=4), *integers(gait=9)])
 
@@ -79,10 +78,6 @@ class Steered:
         self.put(0.0, 0.0, 0.0)
 
     @property
-    def _given(self) -> Any:
-        return self._gait.given
-
-    @property
     def gains(self) -> NDArray[Any]:
         return self._gait.gains
 
@@ -96,7 +91,7 @@ class Steered:
         self.place[...] = np.zeros(1, STEERED)
         self.place["pose"], self.place["wanted"] = (x, y, yaw), wanted
         self.place["stands"], self.place["standing"] = 1.0, 1
-        _put(*self._given, self.place[0], *self._work)
+        _put(*self._gait.given, self.place[0], *self._work)
 
     stand = put
 
@@ -125,7 +120,7 @@ class Steered:
         cycle. With the controller's `haste` the feet advance by so much more."""
         place = self.place
         self._change_gait()
-        _advance(*self._given, place[0], *self._work, 1.0 + max(haste, 0.0))
+        _advance(*self._gait.given, place[0], *self._work, 1.0 + max(haste, 0.0))
         if place["synced"][0]:
             moved = base_xy - place["pose"][0, :2]
             place["pose"][0, :2] = base_xy
@@ -136,7 +131,7 @@ class Steered:
         """Fills rows (t,) of `SAMPLE` with the reference from now on, in its root's present heading frame; `scored` or
         not is the same."""
         self._scratch[0] = self.place[0]
-        _fill(*self._given, self._scratch[0], *self._work, rows)
+        _fill(*self._gait.given, self._scratch[0], *self._work, rows)
 
     def _change_gait(self) -> None:
         """Goes over to the slowest gait that has what is wanted, as soon as it has the present velocity and the same
@@ -160,7 +155,7 @@ class Steered:
         the new gait has them as they are, and those in the air move on as they do."""
         place, scratch = self.place[0], self._scratch[0]
         self._scratch[0] = place
-        _advance(*self._given, scratch, *self._work, 1.0)
+        _advance(*self._gait.given, scratch, *self._work, 1.0)
         before, after = self._values(place), self._values(scratch)
         feet = before[_FEET] + place["away"]
         speed = (after[_FEET] + scratch["away"] - feet) * RATE_HZ
@@ -176,7 +171,7 @@ class Steered:
 
     def _values(self, place: Any) -> Array:
         """What the present gait has at a place (`_WIDTH`,)."""
-        _mix(*self._given[:2], place, self._work[0])
+        _mix(*self._gait.given[:2], place, self._work[0])
         return np.array(self._work[0]["values"])
 
 

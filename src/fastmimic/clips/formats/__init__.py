@@ -2,6 +2,7 @@
 module, and name it in `formats.json` and below. A user's script registers one with `FORMATS.register(Format(…))`, see
 `examples/extend/motion_format.py`."""
 
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -12,7 +13,16 @@ from fastmimic.base.errors import ClipError, naming
 from fastmimic.base.files import packaged
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, pose_table, skeletons
-from fastmimic.clips.formats.format import FORMATS, Content, Format, ReadOptions, format_of, refuse, suffixes
+from fastmimic.clips.formats.format import (
+    FORMATS,
+    Content,
+    Format,
+    ReadOptions,
+    format_of,
+    holds_motion,
+    refuse,
+    suffixes,
+)
 from fastmimic.clips.formats.points import UP_AXES, parse_tracks, read_point_map
 from fastmimic.clips.formats.text_table import check_positive, check_rate
 from fastmimic.clips.travel import with_travel
@@ -20,7 +30,7 @@ from fastmimic.clips.travel import with_travel
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
 _READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[..., Any]]]] = {
-    "npz": (lambda content: content.holds_motion, refuse),
+    "npz": (lambda content: holds_motion(io.BytesIO(content.data)), refuse),
     "csv": (csv_motion.detect, csv_motion.parse),
     "keypoints": (lambda content: keypoints.COLUMNS in content.columns, keypoints.parse),
     "points": (keypoints.names_points, keypoints.read_named),

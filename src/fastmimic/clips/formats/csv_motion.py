@@ -85,16 +85,14 @@ def parse_arrays(data: bytes, *, robot: Robot | None, fps: float | None = None) 
     except UNREADABLE as error:
         raise ClipError(f"not a readable trajectory ({error})") from None
     if q.ndim != 2 or q.shape[1] != COLUMNS or steps.shape != q.shape[:1]:
-        raise ClipError(
-            f"q of shape {q.shape} and dt of shape {steps.shape}; expected (frames, {COLUMNS}) and (frames,)"
-        )
+        shapes = f"q of shape {q.shape} and dt of shape {steps.shape}"
+        raise ClipError(f"{shapes}; expected (frames, {COLUMNS}) and (frames,)")
     check_frames(len(q))
     if not (np.isfinite(q).all() and np.abs(q).max() <= LARGEST):
         raise ClipError(f"q has numbers that are not finite or beyond {LARGEST:g}")
     if fps is None and not np.allclose(steps, steps[0], rtol=1e-3):
-        raise ClipError(
-            f"dt goes from {steps.min():g} to {steps.max():g} s; expected even steps, or give the frame rate"
-        )
+        uneven = f"dt goes from {steps.min():g} to {steps.max():g} s"
+        raise ClipError(f"{uneven}; expected even steps, or give the frame rate")
     rate = fps if fps is not None else 1.0 / steps[0] if steps[0] > 0 else steps[0]
     check_rate(rate)
     q[:, 7:] = q[:, 7:].reshape(-1, 4, 3)[:, [1, 0, 3, 2]].reshape(-1, 12)
@@ -125,10 +123,8 @@ def _columns(header: list[str] | None) -> tuple[list[int], list[str]]:
         found = [c for c, column in enumerate(plain) if column in spellings]
         if len(found) != 1:
             problem = "no column" if not found else f"{len(found)} columns ({', '.join(plain[c] for c in found)})"
-            raise ClipError(
-                f"the header has {problem} for {name}, e.g. '{sorted(spellings)[0]}'"
-                f"{did_you_mean(name.lower(), plain)} (found: {', '.join(plain)[:300]})"
-            )
+            hint = f"e.g. '{sorted(spellings)[0]}'{did_you_mean(name.lower(), plain)}"
+            raise ClipError(f"the header has {problem} for {name}, {hint} (found: {', '.join(plain)[:300]})")
         columns.append(found[0])
     return columns, plain
 
@@ -153,11 +149,11 @@ def _root_names(name: str) -> set[str]:
 
 def _joint_names(plain: list[str]) -> list[set[str]]:
     """Accepted names of the twelve joints, in the spelling that fits most columns of this header."""
-
-    def spelled(row: list[str]) -> list[set[str]]:
-        return [{f"{leg}_{joint}" for leg in _LEG_SPELLINGS[name]} for name in LEGS for joint in row]
-
-    return max(map(spelled, JOINT_SPELLINGS), key=lambda names: sum(bool(n & set(plain)) for n in names))
+    spelled = [
+        [{f"{leg}_{joint}" for leg in _LEG_SPELLINGS[name]} for name in LEGS for joint in row]
+        for row in JOINT_SPELLINGS
+    ]
+    return max(spelled, key=lambda names: sum(bool(n & set(plain)) for n in names))
 
 
 def _rate(table: Table, names: list[str], values: Array, fps: float | None) -> tuple[float, list[str]]:
@@ -172,11 +168,9 @@ def _rate(table: Table, names: list[str], values: Array, fps: float | None) -> t
     uneven = np.flatnonzero(~(np.abs(np.diff(time) - step) <= 0.5 * abs(step)))
     if step <= 0 or len(uneven):
         i = int(uneven[0]) + 1 if len(uneven) else 1
-        raise ClipError(
-            f"line {table.rows[i].number}, column {column + 1} ({names[column]}): time goes from"
-            f" {time[i - 1]:g} to {time[i]:g} s; expected even, growing steps"
-            f" (here {step:.4g} s), or give the frame rate"
-        )
+        where = f"line {table.rows[i].number}, column {column + 1} ({names[column]})"
+        expected = f"even, growing steps (here {step:.4g} s), or give the frame rate"
+        raise ClipError(f"{where}: time goes from {time[i - 1]:g} to {time[i]:g} s; expected {expected}")
     check_rate(1 / step)
     return float(1 / step), [f"{1 / step:.6g} frames a second, from column '{names[column]}' in seconds"]
 
@@ -185,10 +179,8 @@ def _check_upright(quat: Array) -> None:
     """Detects a file with w first: a level trunk then appears to lie on its back."""
     tilt = float(np.median(quat_rotate(quat, np.array([0.0, 0.0, 1.0]))[:, 2]))
     if tilt < _MIN_UPRIGHT:
-        raise ClipError(
-            f"in most frames the trunk is tilted by more than {np.degrees(np.arccos(_MIN_UPRIGHT)):.0f}°;"
-            " expected z up and quaternions in the order x, y, z, w"
-        )
+        said = f"in most frames the trunk is tilted by more than {np.degrees(np.arccos(_MIN_UPRIGHT)):.0f}°"
+        raise ClipError(f"{said}; expected z up and quaternions in the order x, y, z, w")
 
 
 def _check_radians(joints: Array, where: Callable[[int], str], names: Sequence[str]) -> None:

@@ -143,10 +143,8 @@ def _identify(frames: Array, quat_wxyz: Array, robot: Robot | None) -> tuple[Rob
             found, least = (own, joints, root_b, said), off
     if found is None or least > _MOST_OFF_M:
         tried = ", ".join(dict.fromkeys(own.name for own in robots))
-        raise ClipError(
-            f"the joints belong to none of {tried}: the feet in the file are {least:.2f} m off or more;"
-            " read it with the robot that they belong to (--robot FILE)"
-        )
+        said = f"the joints belong to none of {tried}: the feet in the file are {least:.2f} m off or more"
+        raise ClipError(f"{said}; read it with the robot that they belong to (--robot FILE)")
     return found
 
 
@@ -192,9 +190,8 @@ def _frames(document: dict[str, Any], text: str) -> Array:
     for i, frame in enumerate(frames):
         if len(frame) != len(names):
             kinds = "root position 3, root quaternion xyzw 4, joints 12; or 49 or 61 with velocities and feet"
-            raise ClipError(
-                f"line {_frame_line(text, i)} (frame {i}) has {len(frame)} numbers; expected {len(names)} ({kinds})"
-            )
+            where = f"line {_frame_line(text, i)} (frame {i})"
+            raise ClipError(f"{where} has {len(frame)} numbers; expected {len(names)} ({kinds})")
         for c, value in enumerate(frame):
             if isinstance(value, bool) or not isinstance(value, int | float):
                 problem = f"{json.dumps(value)[:20]} is not a number"

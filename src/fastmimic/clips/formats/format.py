@@ -64,11 +64,6 @@ class Content:
         """The names in a zip archive; none of a damaged one, or of another file."""
         return members(io.BytesIO(self.data)) or set()
 
-    @property
-    def holds_motion(self) -> bool:
-        """Whether it is an `.npz` of ours, or a damaged one."""
-        return _holds_arrays(io.BytesIO(self.data))
-
     @cached_property
     def table(self) -> Table:
         """The first lines of the text as a table."""
@@ -137,10 +132,8 @@ class Format:
         if options.point_map is not None and "point_map" not in self.takes:
             raise ClipError(f"a point map does not apply to {self.about}; leave it out")
         if options.up not in (None, "z") and "up" not in self.takes:
-            raise ClipError(
-                f"{options.up} up does not apply to {self.about}: its trunk orientation is defined with z up;"
-                " convert the file, or leave the vertical axis out"
-            )
+            said = f"{options.up} up does not apply to {self.about}: its trunk orientation is defined with z up"
+            raise ClipError(f"{said}; convert the file, or leave the vertical axis out")
         given: dict[str, Any] = {name: getattr(options, name) for name in self.takes}
         return self.parse(content.data if self.binary else content.text, **given)
 
@@ -166,12 +159,13 @@ def is_robot_motion(path: str | Path) -> bool:
     """Whether a file is an `.npz` of ours, or a damaged one; False if there is none."""
     try:
         with open(path, "rb") as file:
-            return _holds_arrays(file)
+            return holds_motion(file)
     except (OSError, ValueError):  # ValueError: a NUL in the path
         return False
 
 
-def _holds_arrays(file: BinaryIO) -> bool:
+def holds_motion(file: BinaryIO) -> bool:
+    """Whether it is an `.npz` of ours, or a damaged one."""
     if file.read(len(_ZIP_MAGIC[0])) not in _ZIP_MAGIC:
         return False
     names = members(file)

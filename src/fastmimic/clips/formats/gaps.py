@@ -48,15 +48,10 @@ def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mend
     whole = np.asarray(np.all(filled | ~absent, axis=1))
     parts = [(a, b) for a, b in stretches(whole) if b - a >= min(SHORTEST_PART_S * rate_hz, len(whole))]
     if not parts:
-        raise ClipError(
-            f"no {SHORTEST_PART_S:g} s without a gap of more than {LONGEST_S:g} s: {_counts(absent & ~filled)}"
-        )
-    causes = {
-        "missing": missing & filled,
-        f"with a confidence below {LEAST_CONFIDENCE:g}": doubtful & filled,
-        "astray": astray & filled,
-    }
-    said = ", ".join(f"{int(which.sum())} {cause}" for cause, which in causes.items() if which.any())
+        gaps = _counts(absent & ~filled)
+        raise ClipError(f"no {SHORTEST_PART_S:g} s without a gap of more than {LONGEST_S:g} s: {gaps}")
+    causes = {"missing": missing, f"with a confidence below {LEAST_CONFIDENCE:g}": doubtful, "astray": astray}
+    said = ", ".join(f"{n} {cause}" for cause, which in causes.items() if (n := int((which & filled).sum())))
     notes = [f"gaps of up to {LONGEST_S:g} s are filled: {_counts(filled)} ({said})"] if filled.any() else []
     return Mended(points, parts, notes)
 
@@ -76,11 +71,9 @@ def part_for(parts: Sequence[Part], frames: Part | None, n_frames: int) -> tuple
     first, end = max(parts, key=lambda part: part[1] - part[0])
     if (first, end) == (0, n_frames):
         return (first, end), []
-    left_out = [f"{a}:{b}" for a, b in ((0, first), (end, n_frames)) if b > a]
-    return (first, end), [
-        f"this is the longest part without long gaps, frames {first}:{end}; {' and '.join(left_out)} are left out"
-        f" (all parts: {listed})"
-    ]
+    left_out = " and ".join(f"{a}:{b}" for a, b in ((0, first), (end, n_frames)) if b > a)
+    said = f"this is the longest part without long gaps, frames {first}:{end}; {left_out} are left out"
+    return (first, end), [f"{said} (all parts: {listed})"]
 
 
 def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:

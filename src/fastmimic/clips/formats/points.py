@@ -65,17 +65,13 @@ def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | Non
             return _indices(names, points), [f"points are named as {title}"] if title else []
     if given is not None:
         lost = next(source for source in given.values() if source not in names)
-        raise ClipError(
-            f"the point map names '{lost}', which the file does not have{did_you_mean(lost, names)};"
-            f" it has {_listed(names)}"
-        )
+        said = f"the point map names '{lost}', which the file does not have{did_you_mean(lost, names)}"
+        raise ClipError(f"{said}; it has {_listed(names)}")
     guessed = guess(names)
     known = {name: source for name, source in guessed.items() if source != UNKNOWN}
     if guessed.keys() - known.keys() not in (set(), set(HIP_NAMES)):
-        raise ClipError(
-            f"some of the ten points are not known by name: it has {_listed(names)}; complete this point map and give"
-            f" it as --point-map FILE.json: {json.dumps(guessed)}"
-        )
+        said = f"some of the ten points are not known by name: it has {_listed(names)}"
+        raise ClipError(f"{said}; complete this point map and give it as --point-map FILE.json: {json.dumps(guessed)}")
     listed = ", ".join(f"{name} {source}" for name, source in known.items())
     return _indices(names, known), [f"points are guessed by name ({listed}); --point-map says otherwise"]
 
@@ -125,15 +121,11 @@ def find_axes(points: Array, rate_hz: float, up: str | None, unit_m: float | Non
 
 def _unit(points: Array) -> tuple[float, str]:
     legs = float(np.mean(np.linalg.norm(points[:, 2:6] - points[:, 6:10], axis=-1)))
-    for least, factor, name in _UNITS:
-        if legs > least:
-            if not factor:
-                raise ClipError(
-                    f"the legs are {legs:.0f} units long, more than any animal's in millimetres; pixels have no unit of"
-                    " length: triangulate in that of the calibration board"
-                )
-            return factor, name
-    return 1.0, "metres"
+    factor, name = next(((factor, name) for least, factor, name in _UNITS if legs > least), (1.0, "metres"))
+    if not factor:
+        said = f"the legs are {legs:.0f} units long, more than any animal's in millimetres"
+        raise ClipError(f"{said}; pixels have no unit of length: triangulate in that of the calibration board")
+    return factor, name
 
 
 def _toe_to_hip(points: Array) -> Array:
@@ -166,10 +158,9 @@ def _levelling(points: Array, rate_hz: float) -> Array | None:
 def _check_upright(points: Array, up: str) -> None:
     vector = _toe_to_hip(points)
     if not vector[2] >= _MIN_UPRIGHT * np.linalg.norm(vector) > 0:
-        raise ClipError(
-            f"the hips do not lie above the toes along {up} (mean offset {vector[2]:.3g} m of"
-            f" {np.linalg.norm(vector):.3g} m); the vertical axis must be one of the file's"
-        )
+        offset = f"mean offset {vector[2]:.3g} m of {np.linalg.norm(vector):.3g} m"
+        said = f"the hips do not lie above the toes along {up} ({offset})"
+        raise ClipError(f"{said}; the vertical axis must be one of the file's")
 
 
 def check_right_handed(points: Array) -> None:
@@ -178,10 +169,8 @@ def check_right_handed(points: Array) -> None:
     left = np.cross([0.0, 0.0, 1.0], forward)
     width = points[:, [3, 5]].sum(axis=1) - points[:, [2, 4]].sum(axis=1)
     if np.mean(np.sum(left * width, axis=-1)) < 0:
-        raise ClipError(
-            "the left hips lie on the right of the spine: the coordinates are left-handed or the"
-            " points swapped; expected right-handed x, y, z"
-        )
+        said = "the left hips lie on the right of the spine: the coordinates are left-handed or the points swapped"
+        raise ClipError(f"{said}; expected right-handed x, y, z")
 
 
 def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
@@ -96,18 +95,15 @@ def _hierarchy(lines: Iterator[tuple[int, list[str]]]) -> list[_Joint]:
                 channels = tuple(words[:count])
                 del words[:count]
                 if len(channels) != count or not set(channels) <= set(_CHANNELS) or len(set(channels)) != count:
-                    raise ClipError(
-                        f"line {number}: expected {count} different channels of {', '.join(_CHANNELS)}; found"
-                        f" {' '.join(channels)[:60]}"
-                    )
+                    expected = f"{count} different channels of {', '.join(_CHANNELS)}"
+                    raise ClipError(f"line {number}: expected {expected}; found {' '.join(channels)[:60]}")
                 joints[above[-1]].channels, joints[above[-1]].first = channels, columns
                 columns += count
             elif word == "MOTION" and joints and not above and opening is None:
                 return joints
             else:
-                raise ClipError(
-                    f"line {number}: '{' '.join([word, *words])[:40]}' is not expected in a BVH's hierarchy there"
-                )
+                found = " ".join([word, *words])[:40]
+                raise ClipError(f"line {number}: '{found}' is not expected in a BVH's hierarchy there")
     raise ClipError("the file ends within the hierarchy: there is no line MOTION")
 
 
@@ -223,9 +219,7 @@ def _sampled(times: Array, keys: Array, values: Array, how: str) -> Array:
     return np.asarray(value[i] + s * (value[i + 1] - value[i]))
 
 
-def _positions(
-    nodes: Sequence[Any], parents: Sequence[int], moved: dict[tuple[int, str], Array], n: int
-) -> NDArray[np.float64]:
+def _positions(nodes: Sequence[Any], parents: Sequence[int], moved: dict[tuple[int, str], Array], n: int) -> Array:
     """Positions of all nodes in the scene, (t, k, 3)."""
     matrices: dict[int, Array] = {}
 

@@ -89,9 +89,8 @@ def to_array(
             values[i] = list(map(float, fields))
         except ValueError:
             bad = next(c for c, field in enumerate(fields) if "_" in field or not is_number(field))
-            raise ClipError(
-                f"line {number}, column {bad + 1} ({column_name(bad)}): '{fields[bad].strip()[:20]}' is not a number"
-            ) from None
+            where, found = f"line {number}, column {bad + 1} ({column_name(bad)})", fields[bad].strip()[:20]
+            raise ClipError(f"{where}: '{found}' is not a number") from None
     wrong = ~(np.abs(values) <= largest)
     wrong[:, list(gaps)] &= ~np.isnan(values[:, list(gaps)])
     if np.any(wrong):

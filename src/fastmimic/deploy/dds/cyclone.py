@@ -42,7 +42,8 @@ def cyclone() -> ctypes.CDLL:
     try:
         from cyclonedds.internal import CycloneDDSLoaderException, load_cyclonedds
     except ImportError:
-        raise DriverError("DDS needs CycloneDDS, which is not installed: pip install 'fastmimic[go2]'") from None
+        missing = "DDS needs CycloneDDS, which is not installed: pip install 'fastmimic[go2]'"
+        raise DriverError(missing) from None
     try:
         dds: ctypes.CDLL = load_cyclonedds()
     except CycloneDDSLoaderException as error:
@@ -120,9 +121,8 @@ def enter_domain(domain: int, interface: str) -> None:
                 raise DriverError(f"DDS cannot be kept to '{interface}': {error.strerror}") from None
             found = _domains[domain] = _OpenDomain(handle, interface)
         elif found.interface != interface:
-            raise DriverError(
-                f"DDS domain {domain} is already open on '{found.interface}' in this process, not on '{interface}'"
-            )
+            said = f"DDS domain {domain} is already open on '{found.interface}' in this process"
+            raise DriverError(f"{said}, not on '{interface}'")
         found.users += 1
 
 
@@ -150,10 +150,8 @@ def _why_not(code: int, domain: int, interface: str) -> str:
     if code == _NOT_NOW:
         return f"DDS domain {domain} has been opened by something else in this process"
     if interface == LOOPBACK and _full(domain):
-        return (
-            f"no place left in DDS domain {domain} on '{interface}': {MAX_PARTICIPANTS} programs of this computer use"
-            " it; end some, or use another domain"
-        )
+        users = f"{MAX_PARTICIPANTS} programs of this computer use it; end some, or use another domain"
+        return f"no place left in DDS domain {domain} on '{interface}': {users}"
     reason = cyclone().dds_strretcode(code).decode()
     return f"DDS cannot use '{interface}' ({reason}): is it up, and has it an IPv4 address?"
 
@@ -222,13 +220,7 @@ class Participant:
 
 
 def _endpoint(
-    kind: str,
-    participant: Participant,
-    topic: str,
-    message: type[Message],
-    reliable: bool,
-    depth: int,
-    own: bool = True,
+    kind: str, participant: Participant, topic: str, message: type[Message], reliable: bool, depth: int, own: bool
 ) -> int:
     """The handle of a new "reader" or "writer", with CDR version 1, as 0.10 writes; `own`: whether it may talk to
     endpoints of the same participant."""
@@ -259,7 +251,7 @@ class Writer:
         self._participant = participant
         self.message = message()
         self.record = np.frombuffer(memoryview(self.message), np.dtype(message)) if fixed_size(message) else None
-        self._handle = _endpoint("writer", participant, topic, message, True, 1)
+        self._handle = _endpoint("writer", participant, topic, message, True, 1, True)
         self._address = ctypes.addressof(self.message)
         self._write = cyclone().dds_write
 
@@ -315,7 +307,7 @@ class TextReader:
 
     def __init__(self, participant: Participant, topic: str, message: type[Message]) -> None:
         self._participant, self._message = participant, message
-        self._handle = _endpoint("reader", participant, topic, message, True, _TEXTS)
+        self._handle = _endpoint("reader", participant, topic, message, True, _TEXTS, True)
 
     def take(self, convert: Callable[[Any], T]) -> list[T]:
         """Applies `convert` to each message that has arrived; the message is freed afterwards."""

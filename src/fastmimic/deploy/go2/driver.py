@@ -30,6 +30,7 @@ class Go2Driver(RobotDriver):
         """`domain` is 0 for robots; network `interface` is `lo` for a simulated one; `options` as for `RobotDriver`."""
         super().__init__(robot, **options)
         self._domain, self._interface = domain, interface
+        self._where = f"in DDS domain {domain} on '{interface}'"
         self._participant: Participant | None = None
 
     def _connect(self) -> None:
@@ -98,19 +99,16 @@ class Go2Driver(RobotDriver):
                     problem = implausible_joint(self._robot, reading["joint_pos"][0])
                     seen += [] if problem else [state]
         if len(publishers) > 1:
-            raise DriverError(
-                f"{len(publishers)} robots publish states in DDS domain {self._domain} on '{self._interface}':"
-                " use another domain for one of them"
-            )
+            said = f"{len(publishers)} robots publish states {self._where}"
+            raise DriverError(f"{said}: use another domain for one of them")
         if not seen:
             raise DriverError(problem or self._silence(participant))
         last = seen[-1]
         self._checked = any(state.checksum != 0 for state in seen)
         if self._checked and all(state.checksum != state.expected for state in seen):  # a single one may be damaged
-            raise DriverError(
-                f"the states in DDS domain {self._domain} have wrong checksums ({last.checksum:#010x}, expected"
-                f" {last.expected:#010x}): another kind of robot or another version of its messages"
-            )
+            found = f"{last.checksum:#010x}, expected {last.expected:#010x}"
+            said = f"the states in DDS domain {self._domain} have wrong checksums ({found})"
+            raise DriverError(f"{said}: another kind of robot or another version of its messages")
         self._counted = any(state.tick != 0 for state in seen)
 
     def _check_alone(self) -> None:
@@ -119,10 +117,8 @@ class Go2Driver(RobotDriver):
         while (left := end - time.monotonic()) > 0:
             self._others.wait(left)
             if self._heard_others():
-                raise DriverError(
-                    f"another program sends commands to the motors of the robot in DDS domain {self._domain} on"
-                    f" '{self._interface}': end it first"
-                )
+                said = f"another program sends commands to the motors of the robot {self._where}"
+                raise DriverError(f"{said}: end it first")
 
     def _heard_others(self) -> int:
         """The number of commands of other programs since the last call."""
@@ -139,16 +135,12 @@ class Go2Driver(RobotDriver):
         return height < _LYING * self._robot.home_height
 
     def _silence(self, participant: Participant) -> str:
-        where = f"in DDS domain {self._domain} on '{self._interface}'"
         others = set(participant.publishers(messages.LOW_STATE_TOPIC)) - {messages.LowState.typename}
         if others:
-            return (
-                f"the robot {where} is not of the Go2's family: its {messages.LOW_STATE_TOPIC} is"
-                f" {', '.join(sorted(others))}, expected {messages.LowState.typename}"
-            )
+            found = f"its {messages.LOW_STATE_TOPIC} is {', '.join(sorted(others))}"
+            return f"the robot {self._where} is not of the Go2's family: {found}, expected {messages.LowState.typename}"
+        within = f"within {self._timeout_s:g} s"
         if self._reader.matched():
-            return f"a robot is {where}, but no good state came within {self._timeout_s:g} s: is the network disturbed?"
-        return (
-            f"no robot's state within {self._timeout_s:g} s {where}: is the robot on, and are interface and domain"
-            " right? ('fastmimic robot-sim' simulates one)"
-        )
+            return f"a robot is {self._where}, but no good state came {within}: is the network disturbed?"
+        hint = "is the robot on, and are interface and domain right? ('fastmimic robot-sim' simulates one)"
+        return f"no robot's state {within} {self._where}: {hint}"

@@ -247,10 +247,8 @@ def release_motion_service(participant: Participant, lies: Callable[[], bool], s
     if not switcher.find(FIND_S if here else FIND_FAR_S):
         if here:
             return
-        raise DriverError(
-            f"no service '{MOTION_SWITCHER}' on '{participant.interface}', so the robot's own software may command the"
-            " motors: nothing is sent to them"
-        )
+        said = f"no service '{MOTION_SWITCHER}' on '{participant.interface}'"
+        raise DriverError(f"{said}, so the robot's own software may command the motors: nothing is sent to them")
     released = mode = _active_mode(switcher)
     if mode is None:
         return
@@ -273,10 +271,8 @@ def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
     while not lies():
         if code is None or time.monotonic() > end:
             why = "it has no sport service" if code is None else f"its service answered with code {code}"
-            raise DriverError(
-                f"the motors can be released only after the robot lies, but {why} and it still stands: lie it down by"
-                " its remote control"
-            )
+            said = f"the motors can be released only after the robot lies, but {why} and it still stands"
+            raise DriverError(f"{said}: lie it down by its remote control")
         time.sleep(0.05)
     time.sleep(SETTLE_S)
 
