@@ -88,7 +88,7 @@ def put_result(
     if video is not None:
         try:
             with count_progress("video, frame") as progress:
-                write_video(result, folder, progress, video, clip)
+                write_video(result, folder, clip, progress=progress, quality=video)
         except KeyboardInterrupt:
             note(f"the video was not written; everything else is in {folder.path}")
             raise

@@ -199,11 +199,7 @@ class PlayPage(WebPage):
     too, if there are any; raises as `WebPage`."""
 
     def __init__(
-        self,
-        session: "LiveSession",
-        heading: str,
-        port: int = DEFAULT_PORT,
-        commands: "Commands | None" = None,
+        self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT, commands: "Commands | None" = None
     ) -> None:
         super().__init__(port)
         self.session = session

@@ -187,12 +187,7 @@ def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
         spec.worldbody.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
-            rgba=[*rgb, 1],
-            contype=0,
-            conaffinity=0,
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*rgb, 1], contype=0, conaffinity=0
         )
     spec.delete(spec.material(_CHECKER))
     spec.delete(spec.texture(_CHECKER))

@@ -4,11 +4,12 @@ lines and axes. Colours are names in the style sheet."""
 import base64
 import gzip
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -66,6 +67,8 @@ class Figure:
         return _HINTS[self.about or self.name].format(**self.told)
 
 
+Sections = Mapping[str, Sequence[Figure]]
+"""The figures of a page by section."""
 BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")
 ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
@@ -212,17 +215,18 @@ class HtmlReport:
 
 
 def render(
-    template: str, figures: Iterable[Figure], *, title: str, missing: Sequence[str], replay: str = "", **data: Any
+    template: str, sections: Sections, *, title: str, missing: Sequence[str], replay: str = "", **data: Any
 ) -> HtmlReport:
-    """Fills a page: a file of `templates/` with all its `figures`, a sentence for each thing that is `missing`, an HTML
-    page to be opened inside (`replay`, empty for none), and `data` for the template. Raises `ConfigError` if there are
-    figures and Plotly is not installed, `OutputError` if a file that the page shows cannot be read."""
+    """Fills a page: a file of `templates/` with the figures of its `sections`, a sentence for each thing that is
+    `missing`, an HTML page to be opened inside (`replay`, empty for none), and `data` for the template. Raises
+    `ConfigError` if there are figures and Plotly is not installed, `OutputError` if a file that the page shows cannot
+    be read."""
     plots = {
         f"{figure.name}-{i}": {"data": plot.data, "layout": plot.layout}
-        for figure in figures
+        for figure in chain.from_iterable(sections.values())
         for i, plot in enumerate(figure.plots, start=1)
     }
-    shared = {"title": title, "missing": tuple(missing), "plots": plots, "replay": replay}
+    shared = {"title": title, "missing": tuple(missing), "sections": sections, "plots": plots, "replay": replay}
     try:
         return HtmlReport(_environment().get_template(template).render(**shared, **data), tuple(missing))
     except jinja2.UndefinedError as error:

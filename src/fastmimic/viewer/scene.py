@@ -44,10 +44,7 @@ def animal_aside(robot: Robot) -> float:
 
 
 def line_up(
-    server: "viser.ViserServer",
-    takes: Sequence[Take],
-    animal: Animal | None = None,
-    names: Sequence[str] | None = None,
+    server: "viser.ViserServer", takes: Sequence[Take], animal: Animal | None = None, names: Sequence[str] | None = None
 ) -> "list[RobotScene]":
     """Robots side by side, seen from the front the first on the left, the animal beside it. `takes` are each one's
     first, of the same robot; `names` those of their frames in the scene tree."""
