@@ -59,8 +59,7 @@ def write_comparison(folder: ComparisonFolder, plan: ComparisonPlan, rows: Seque
     folder.write(RESULTS_CSV, csv_text(COLUMNS, found))
     whole = [row for row in found if not row["variant"]]
     if whole:
-        expected = len(whole) + sum(not run.variant for run in missing)
-        folder.write(TABLE, comparison_table(whole, expected))
+        folder.write(TABLE, comparison_table(whole, len(whole) + sum(not run.variant for run in missing)))
         figure = comparison_figure(summaries(whole), f"Reward by method, {whole[0]['robot']}")
         style.save(figure, folder.path / compared.COMPARISON)
         written += [TABLE, compared.COMPARISON, *_write_tracking(folder, whole)]

@@ -83,8 +83,7 @@ def _base(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
 def _periods(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
     error = np.full(len(time), np.nan)
     error[1:] = 1e6 * np.abs(np.diff(time) - 1.0 / log.rate_hz)
-    least = 0.1  # µs, for the logarithm
-    drawn = [(np.fmax(error, least), ROBOT)]
+    drawn = [(np.fmax(error, 0.1), ROBOT)]  # at least 0.1 µs, for the logarithm
     unit = f"|period − {1e3 / log.rate_hz:g} ms| (µs)"
     periods = time_plot("Period error", unit, time, drawn, span, height=240, peak=True)
     periods.layout["yaxis"]["type"] = "log"

@@ -28,6 +28,7 @@ from fastmimic.base.text import NONE, plain
 from fastmimic.imitation.methods import METHODS
 
 _HINTS: Final = packaged("fastmimic.report", "hints.json", dict[str, str])
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -126,14 +127,9 @@ def bar_marker(key: Key, **pattern: Any) -> dict[str, Any]:
 
 
 def layout_of(
-    x: str,
-    y: str,
-    height: int,
-    xrange: tuple[float, float] | None = None,
-    yrange: tuple[float, float] | None = None,
-    **more: Any,
+    x: str, y: str, height: int, xrange: Interval | None = None, yrange: Interval | None = None, **more: Any
 ) -> dict[str, Any]:
-    def axis(title: str, shown: tuple[float, float] | None) -> dict[str, Any]:
+    def axis(title: str, shown: Interval | None) -> dict[str, Any]:
         return {"title": {"text": title}} | ({} if shown is None else {"range": numbers(shown)})
 
     return {"height": height, "xaxis": axis(x, xrange), "yaxis": axis(y, yrange), **more}
@@ -144,8 +140,8 @@ def time_plot(
     y: str,
     time: Array,
     found: Sequence[tuple[Array, Key]],
-    span: tuple[float, float],
-    yrange: tuple[float, float] | None = None,
+    span: Interval,
+    yrange: Interval | None = None,
     *,
     height: int = 230,
     shapes: Sequence[dict[str, Any]] = (),
@@ -178,14 +174,8 @@ def _upright(kind: str, start: float, end: float, style: dict[str, Any]) -> dict
 
 def rows_axis(names: Sequence[str]) -> dict[str, Any]:
     """An axis of words, the first on top."""
-    return {
-        "type": "category",
-        "categoryorder": "array",
-        "categoryarray": list(names),
-        "range": [len(names) - 0.4, -0.6],
-        "tickmode": "linear",
-        "dtick": 1,
-    }
+    order = {"type": "category", "categoryorder": "array", "categoryarray": list(names)}
+    return {**order, "range": [len(names) - 0.4, -0.6], "tickmode": "linear", "dtick": 1}
 
 
 def numbers(values: Any, digits: int = 5) -> list[float]:
@@ -219,8 +209,7 @@ def render(
 ) -> HtmlReport:
     """Fills a page: a file of `templates/` with the figures of its `sections`, a sentence for each thing that is
     `missing`, an HTML page to be opened inside (`replay`, empty for none), and `data` for the template. Raises
-    `ConfigError` if there are figures and Plotly is not installed, `OutputError` if a file that the page shows cannot
-    be read."""
+    `ConfigError` for figures without Plotly, `OutputError` if a file that the page shows cannot be read."""
     plots = {
         f"{figure.name}-{i}": {"data": plot.data, "layout": plot.layout}
         for figure in chain.from_iterable(sections.values())

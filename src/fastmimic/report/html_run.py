@@ -1,7 +1,6 @@
 """The page of a run: its files, its two nominal episodes, simulated again, and what `run.html` shows of them.
 
-Episodes are not stored, since they follow exactly from `motion.npz` and `config.json`; the rewards in `metrics.json`
-check this.
+Episodes are not stored: they follow exactly from `motion.npz` and `config.json`, which `metrics.json` checks.
 """
 
 import json
@@ -160,8 +159,7 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> R
         raise ConfigError(f"{path / MOTION} is missing")
     with naming(path / CONFIG, ConfigError):
         controller = ControllerConfig.from_dict(config.get("controller"))
-    arguments = config.get("arguments", {})
-    robot = load_robot(arguments.get("robot") or metrics["robot"])
+    robot = load_robot(config.get("arguments", {}).get("robot") or metrics["robot"])
     motion = Motion.load(path / MOTION)
     seconds = float(metrics["duration_s"])
     before = run_episodes(robot, motion.target, duration_s=seconds, config=controller, log=True)
