@@ -15,7 +15,7 @@ from fastmimic.robot import Robot
 @pytest.fixture(scope="session")
 def opengl(a1: Robot) -> None:
     """Skips where nothing can be drawn: a machine without any OpenGL."""
-    video_scene = build_video_scene(a1, ghost=False, width=16, height=16, floor=np.zeros((2, 2)))
+    video_scene = build_video_scene(a1, ghost=False, size=(16, 16), floor=np.zeros((2, 2)))
     try:
         Offscreen(video_scene.model).close()
     except NoRendererError as error:

@@ -36,6 +36,6 @@ def test_the_user_decides(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_backend_that_fails_is_named(a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "cgl")  # needs macOS; elsewhere its module cannot be imported
     monkeypatch.setitem(sys.modules, "mujoco.cgl", None)
-    video_scene = build_video_scene(a1, ghost=False, width=16, height=16, floor=np.zeros((2, 2)))
+    video_scene = build_video_scene(a1, ghost=False, size=(16, 16), floor=np.zeros((2, 2)))
     with pytest.raises(NoRendererError, match="no OpenGL here \\(cgl: "):
         Offscreen(video_scene.model)

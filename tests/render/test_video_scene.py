@@ -17,7 +17,7 @@ FLOOR = np.array([[0.0, 0.0], [5.0, 1.0]])
 @pytest.mark.parametrize("name", ROBOT_NAMES)
 def test_robot_and_ghost_take_a_pose_each(name: str) -> None:
     robot = load_robot(name)
-    stage = build_video_scene(robot, ghost=True, width=64, height=48, floor=FLOOR)
+    stage = build_video_scene(robot, ghost=True, size=(64, 48), floor=FLOOR)
     assert stage.ghost_qpos is not None
     assert sorted([*stage.robot_qpos, *stage.ghost_qpos]) == list(range(38))
     data = mujoco.MjData(stage.model)
@@ -30,8 +30,8 @@ def test_robot_and_ghost_take_a_pose_each(name: str) -> None:
 
 
 def test_the_ghost_is_translucent_and_leaves_the_robot_as_it_is(a1: Robot) -> None:
-    alone = build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR)
-    both = build_video_scene(a1, ghost=True, width=64, height=48, floor=FLOOR)
+    alone = build_video_scene(a1, ghost=False, size=(64, 48), floor=FLOOR)
+    both = build_video_scene(a1, ghost=True, size=(64, 48), floor=FLOOR)
     n = alone.model.ngeom
     np.testing.assert_array_equal(both.model.geom_rgba[:n], alone.model.geom_rgba)
     np.testing.assert_array_equal(both.model.geom_size[:n], alone.model.geom_size)
@@ -46,7 +46,7 @@ def test_a_floor_and_lights_of_the_users_own_model_are_left_out(a1: Robot, tmp_p
     path = tmp_path / "own.xml"
     own = '<worldbody><light pos="0 0 9"/><geom name="floor" type="plane" size="1 1 1"/><camera/>'
     path.write_text(a1.xml.replace("<worldbody>", own))
-    stage = build_video_scene(load_robot(path), ghost=False, width=64, height=48, floor=FLOOR)
+    stage = build_video_scene(load_robot(path), ghost=False, size=(64, 48), floor=FLOOR)
     planes = np.flatnonzero(stage.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     assert [stage.model.geom(i).name for i in planes] == []  # the ground is tiles
     assert (stage.model.nlight, stage.model.ncam) == (1, 0)
@@ -54,7 +54,7 @@ def test_a_floor_and_lights_of_the_users_own_model_are_left_out(a1: Robot, tmp_p
 
 def test_the_ground_reaches_beyond_the_whole_path(a1: Robot) -> None:
     path = np.array([[-40.0, 0.0], [60.0, 10.0]])
-    ground = build_video_scene(a1, ghost=False, width=64, height=48, floor=path, quality=HIGH).model.geom("ground")
+    ground = build_video_scene(a1, ghost=False, size=(64, 48), floor=path, quality=HIGH).model.geom("ground")
     assert np.all(ground.pos[:2] - ground.size[:2] < path[0] - 10)
     assert np.all(ground.pos[:2] + ground.size[:2] > path[1] + 10)
 
@@ -62,7 +62,7 @@ def test_the_ground_reaches_beyond_the_whole_path(a1: Robot) -> None:
 def test_decoration_casts_no_shadow_but_hidden_collision_geometry_does_not_replace_what_is_seen(
     a1: Robot, tmp_path: Path
 ) -> None:
-    stage = build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR)
+    stage = build_video_scene(a1, ghost=False, size=(64, 48), floor=FLOOR)
     shadows = {stage.model.geom(i).name for i in np.flatnonzero(stage.casts_shadow)}
     assert "robot/trunk" in shadows
     assert "robot/flank" not in shadows  # collides with nothing
@@ -70,7 +70,7 @@ def test_decoration_casts_no_shadow_but_hidden_collision_geometry_does_not_repla
     path = tmp_path / "hidden.xml"
     path.write_text(a1.xml.replace('<geom name="', '<geom group="3" name="'))  # all that collides
     path.write_text(path.read_text().replace('group="3" name="flank"', 'name="flank"'))
-    stage = build_video_scene(load_robot(path), ghost=False, width=64, height=48, floor=FLOOR)
+    stage = build_video_scene(load_robot(path), ghost=False, size=(64, 48), floor=FLOOR)
     shown = stage.casts_shadow
     assert shown[stage.model.geom("robot/flank").id]
     assert not shown[stage.model.geom("robot/trunk").id]
@@ -82,7 +82,7 @@ def test_of_a_robot_that_has_only_collision_shapes_these_are_shown(a1: Robot, tm
         geom.group = 3
     spec.compile()
     (tmp_path / "hidden.xml").write_text(spec.to_xml())
-    stage = build_video_scene(load_robot(tmp_path / "hidden.xml"), ghost=True, width=64, height=48, floor=FLOOR)
+    stage = build_video_scene(load_robot(tmp_path / "hidden.xml"), ghost=True, size=(64, 48), floor=FLOOR)
     shown = np.flatnonzero(stage.casts_shadow)
     assert len(shown) > 12
     assert set(stage.model.geom_group[shown]) == {0}
@@ -90,7 +90,7 @@ def test_of_a_robot_that_has_only_collision_shapes_these_are_shown(a1: Robot, tm
 
 
 def test_tiles_are_as_large_as_asked_for_and_cover_the_ground_once(a1: Robot) -> None:
-    model = (stage := build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR, tile=0.4)).model
+    model = (stage := build_video_scene(a1, ghost=False, size=(64, 48), floor=FLOOR, tile=0.4)).model
     areas, columns = [], []
     for tiles in stage.tiles:
         geom, mesh = model.geom(tiles), model.mesh(model.geom_dataid[tiles])
@@ -116,14 +116,14 @@ def test_tiles_are_as_large_as_asked_for_and_cover_the_ground_once(a1: Robot) ->
 
 
 def test_high_quality_has_its_pattern_as_a_texture(a1: Robot) -> None:
-    textured = build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR, quality=HIGH)
+    textured = build_video_scene(a1, ghost=False, size=(64, 48), floor=FLOOR, quality=HIGH)
     assert textured.tiles == ()
     assert textured.model.ntex == 1
 
 
 def test_only_high_quality_pays_for_a_shadow_map(a1: Robot) -> None:
     preview, high = (
-        build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR, quality=q).model for q in (PREVIEW, HIGH)
+        build_video_scene(a1, ghost=False, size=(64, 48), floor=FLOOR, quality=q).model for q in (PREVIEW, HIGH)
     )
     assert (preview.vis.quality.shadowsize, preview.vis.quality.offsamples) == (0, 0)
     assert not preview.light_castshadow.any()
@@ -136,7 +136,7 @@ def test_only_high_quality_pays_for_a_shadow_map(a1: Robot) -> None:
 def test_a_terrain_is_drawn_where_it_is(text: str, a1: Robot) -> None:
     ground = Conditions(terrain=parse_terrain(text)).ground
     assert ground is not None
-    model = build_video_scene(a1, ghost=False, width=64, height=48, floor=FLOOR, terrain=ground).model
+    model = build_video_scene(a1, ghost=False, size=(64, 48), floor=FLOOR, terrain=ground).model
     data, hit = mujoco.MjData(model), np.zeros(1, np.int32)
     mujoco.mj_forward(model, data)
     for x, y in np.random.default_rng(0).uniform(-4.0, 4.0, (20, 2)):

@@ -40,7 +40,7 @@ def test_bodies_are_where_the_log_says(take: Take, rollout: Rollout, a1: Robot) 
 def test_meshes_fill_the_geoms(name: str) -> None:
     robot = load_robot(name)
     puppet = Puppet(robot)
-    model = build_video_scene(robot, ghost=True, width=64, height=64, floor=np.zeros((2, 2))).model
+    model = build_video_scene(robot, ghost=True, size=(64, 64), floor=np.zeros((2, 2))).model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for bodies, prefix in ((puppet.bodies, "robot/"), (puppet.ghost_bodies, "ghost/")):

@@ -178,13 +178,7 @@ class Deploy:
         return robot, source.load(robot, **self.clip.overrides())
 
     def _deploy(
-        self,
-        robot: Robot,
-        motion: Motion,
-        limits: "SafetyLimits",
-        policy: Any,
-        log: Path,
-        commands: "Commands | None",
+        self, robot: Robot, motion: Motion, limits: "SafetyLimits", policy: Any, log: Path, commands: "Commands | None"
     ) -> "Deployment":
         from fastmimic.deploy.deployment import DeployOptions, deploy
         from fastmimic.deploy.sequence import SteeredFollower, make_sequence

@@ -74,15 +74,8 @@ class Evaluate:
         robot, motion = self.clip.load(self.motion, self.robot)
         controller = None if self.policy is None else opt.policy_controller(self.policy, robot, motion)
         with slow_start():
-            evaluation = opt.apply(
-                evaluate,
-                self,
-                source=motion,
-                robot=robot,
-                duration_s=self.duration,
-                controller=controller,
-                conditions=conditions,
-            )
+            given = {"source": motion, "robot": robot, "controller": controller, "conditions": conditions}
+            evaluation = opt.apply(evaluate, self, **given, duration_s=self.duration)
         figures = evaluation.as_dict() | self._world(conditions)
         if self.json:
             put_json(figures)

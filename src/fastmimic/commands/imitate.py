@@ -51,9 +51,7 @@ class SearchRun:
 
     def check_search(self, method: str) -> None:
         """Raises `ConfigError` for options that a method without a search does not take."""
-        if method_named(method).optimises:
-            return
-        if self.folder.resume:
+        if not method_named(method).optimises and self.folder.resume:
             raise ConfigError(f"method '{method}' does not search, so there is nothing to resume; drop --resume")
 
     @contextmanager
@@ -142,19 +140,10 @@ class Imitate(SearchRun):
         from fastmimic.imitation.imitate import imitate
         from fastmimic.optimize.cma_es import optimisation_progress
 
+        given = {"source": motion, "robot": robot, "method": method, "duration_s": self.duration}
         with optimisation_progress() as progress:
-            return opt.apply(
-                imitate,
-                self,
-                self.search,
-                self.folder,
-                source=motion,
-                robot=robot,
-                method=method,
-                duration_s=self.duration,
-                checkpoint=folder.checkpoint,
-                progress=progress,
-            )
+            own = {"checkpoint": folder.checkpoint, "progress": progress}
+            return opt.apply(imitate, self, self.search, self.folder, **given, **own)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,6 +230,5 @@ def segment_rows(result: "Stitching") -> list[tuple[str, ...]]:
     for segment, own in zip(metrics["segments"], metrics["individual_optima"]["segments"], strict=True):
         times = (f"{segment[end]:.2f}" for end in ("first_s", "last_s"))
         rewards = (f"{reward:.3f}" for reward in (segment["reward"]["before"], own, segment["reward"]["after"]))
-        row = (segment["motion"], str(segment["cycles"]), *times, *rewards, yes_no(segment["fell"]["after"]))
-        rows.append(row)
+        rows.append((segment["motion"], str(segment["cycles"]), *times, *rewards, yes_no(segment["fell"]["after"])))
     return rows

@@ -28,10 +28,7 @@ if TYPE_CHECKING:  # loads the compiler
 
 LibraryFolder = Annotated[Positional[Path], opt.option("LIBRARY", "Folder of the library.")]
 _FIGURES: Final = ("reward_animal", "reward_mean", "reward_mean_robots", "success_perturbed", "mpjpe_mm")
-_LISTED: Final = (
-    *("id", "name", "robot", "seed", "gait", "footfall", "grade"),
-    *("kept", "best", "lacks", *_FIGURES),
-)
+_LISTED: Final = (*("id", "name", "robot", "seed", "gait", "footfall", "grade"), *("kept", "best", "lacks", *_FIGURES))
 """Columns that a list shows or is filtered by."""
 
 

@@ -277,16 +277,14 @@ class SegmentTake:
             put_json({"segments": [asdict(segment) for segment in segments]})
         else:
             put_table([_SEGMENT, *(_segment_row(segment, rate_hz) for segment in segments)])
+            command = f"fastmimic imitate {self.take}{self.file.words()} --frames"
             periodic = [segment for segment in segments if segment.cycle is not None]
             if periodic:
                 first, end = max(periodic, key=lambda s: s.confidence).cycle or (0, 0)
-                note(f"to imitate a cycle: fastmimic imitate {self.take}{self.file.words()} --frames {first}:{end}")
+                note(f"to imitate a cycle: {command} {first}:{end}")
             once = next((segment for segment in segments if segment.gait == DISCRETE), None)
             if once is not None:
-                note(
-                    "to imitate a non-periodic movement: "
-                    f"fastmimic imitate {self.take}{self.file.words()} --frames {once.start}:{once.end} --discrete"
-                )
+                note(f"to imitate a non-periodic movement: {command} {once.start}:{once.end} --discrete")
         if figure is not None:
             from fastmimic.render.figure_style import save
             from fastmimic.report.figures import segments_figure

@@ -53,8 +53,8 @@ def _shown_default(default: str) -> str:
     return "" if default in ("None", "False", "") else f"(default: {default})"
 
 
-def configs() -> str:
-    return f"{', '.join(CONFIGS)}, or a JSON file"
+def configs(more: str = "") -> str:
+    return f"Controller parameters: {', '.join(CONFIGS)}, or a JSON file.{more}"
 
 
 def methods() -> str:
@@ -64,6 +64,11 @@ def methods() -> str:
 def controllers() -> str:
     """The methods without a search, for a help text."""
     return ", ".join(name for name, method in METHODS.items() if method.playable)
+
+
+def found_controller(more: str = "") -> str:
+    """A help text."""
+    return f"Controller: {controllers()}{more}. Default: the one the motion was optimised with, else mbc."
 
 
 def simulators() -> str:
@@ -83,17 +88,11 @@ Seconds = Annotated[float | None, option("S")]
 RobotChoice = Annotated[str | None, option("NAME|FILE", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
 RobotName = Annotated[str, option("NAME|FILE", f"{ROBOT_CHOICES}.")]
 MethodName = Annotated[str, option("NAME", lambda: f"Method: {methods()}.")]
-ConfigName = Annotated[str, option("NAME|FILE", lambda: f"Controller parameters: {configs()}.")]
-FoundMethod = Annotated[
-    str | None,
-    option("NAME", lambda: f"Controller: {controllers()}. Default: the one the motion was optimised with, else mbc."),
-]
+ConfigName = Annotated[str, option("NAME|FILE", configs)]
+FoundMethod = Annotated[str | None, option("NAME", found_controller)]
 FoundConfig = Annotated[
     str | None,
-    option(
-        "NAME|FILE",
-        lambda: f"Controller parameters: {configs()}. Default: those the motion was optimised with, else default.",
-    ),
+    option("NAME|FILE", lambda: configs(" Default: those the motion was optimised with, else default.")),
 ]
 PolicyFile = Annotated[
     Path | None, option("FILE", "Trained policy (policy.npz of 'fastmimic train') in place of the controller.")

@@ -54,13 +54,7 @@ class Render:
     robot: opt.RobotChoice = None
     method: Annotated[
         tuple[str, ...],
-        opt.option(
-            "NAME [NAME ...]",
-            lambda: (
-                f"Controller: {opt.controllers()}; one for all motions, or one for each. Default: the one the "
-                "motion was optimised with, else mbc."
-            ),
-        ),
+        opt.option("NAME [NAME ...]", lambda: opt.found_controller("; one for all motions, or one for each")),
     ] = ()
     config: opt.FoundConfig = None
     terrain: opt.TerrainName = None
@@ -127,8 +121,7 @@ class Render:
         """The robot, and a panel with its rate for each motion."""
         sources = [find_motion(source) for source in self.motions]
         robot = opt.choose_robot(self.robot, sources[0])
-        overrides = self.clip.overrides()
-        motions = [source.load(robot, **overrides) for source in sources]
+        motions = [source.load(robot, **self.clip.overrides()) for source in sources]
         methods: Sequence[str | None] = self.method or [None]
         if len(methods) == 1:
             methods = [methods[0]] * len(motions)

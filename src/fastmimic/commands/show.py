@@ -32,9 +32,7 @@ def yes_no(value: Any) -> str:
     return "yes" if value else "no"
 
 
-def figure_rows(
-    figures: Mapping[str, Any], reward: str, fell: str, clearance: tuple[str, str]
-) -> list[tuple[str, str]]:
+def figure_rows(figures: dict[str, Any], reward: str, fell: str, clearance: tuple[str, str]) -> list[tuple[str, str]]:
     """Name and value of each figure of an episode, for a table."""
     components = [(f"  {name.replace('_', ' ')}", number(value)) for name, value in figures["components"].items()]
     animal = figures.get("reward_animal")
@@ -88,7 +86,7 @@ def put_result(
     if video is not None:
         try:
             with count_progress("video, frame") as progress:
-                write_video(result, folder, progress, video, clip)
+                write_video(result, folder, clip, progress=progress, quality=video)
         except KeyboardInterrupt:
             note(f"the video was not written; everything else is in {folder.path}")
             raise

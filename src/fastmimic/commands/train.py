@@ -118,14 +118,8 @@ def _identity(
 ) -> dict[str, Any]:
     """The settings that must match for a training to resume, JSON-serialisable."""
     content = (robot.content, motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact)
-    return {
-        "robot": robot.name,
-        "motion": motion.name,
-        "content": fingerprint(*content),
-        "device": device,
-        "evaluate_every": evaluate_every,
-        **plain(settings),
-    }
+    subject = {"robot": robot.name, "motion": motion.name, "content": fingerprint(*content)}
+    return {**subject, "device": device, "evaluate_every": evaluate_every, **plain(settings)}
 
 
 @contextmanager

@@ -91,8 +91,7 @@ class ComparisonPlan:
 
 
 ReportProgress = Callable[[float, Row | None], None]
-"""Called with the finished share of the simulated time, in [0, 1], after each iteration of a run, and with the row of
-each finished run."""
+"""Takes the finished share of the simulated time, in [0, 1], after each iteration, and the row of each finished run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +141,7 @@ class Prepared:
 def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[str], None]) -> Prepared:
     """Loads robot and motions, and checks them and the finished runs in the folder `out`; writes nothing. With `keep`,
     finished runs in the folder count; otherwise they are about to be replaced. Calls `prepared` with the name of each
-    retargeted motion. Raises `FastMimicError` for a missing robot or motion, or if the folder holds a finished run of
-    other content."""
+    retargeted motion. Raises `FastMimicError` for a missing robot or motion, or a finished run of other content."""
     robot = load_robot(plan.settings.robot)
     files = {_file(out, *key): motion for key, motion in _demonstrations(plan, robot, prepared)}
     policies = {

@@ -103,18 +103,14 @@ class RunTask:
     def simulated_s(self) -> float:
         """Estimated simulated time, s, as the measure of its length."""
         s = self.settings
-        chosen_s = s.choice.simulated_s if method_named(self.run.method).optimises else 0.0
-        return s.evaluation_s * (2 + s.perturbed_episodes) + chosen_s + self.searched_s
+        evaluated_s = s.evaluation_s * (2 + s.perturbed_episodes)
+        optimises = method_named(self.run.method).optimises
+        return evaluated_s + s.choice.simulated_s + self.searched_s if optimises else evaluated_s
 
     @property
     def searched_s(self) -> float:
-        """The part of it in the search, s."""
-        s = self.settings
-        return (
-            s.duration_s * s.population * (s.iterations or MOST_ITERATIONS)
-            if method_named(self.run.method).optimises
-            else 0.0
-        )
+        """The part of it in the search of a method that has one, s."""
+        return self.settings.duration_s * self.settings.population * (self.settings.iterations or MOST_ITERATIONS)
 
 
 def slug(text: str) -> str:
@@ -160,7 +156,7 @@ def perform(task: RunTask, report: Report) -> Row:
     def progress(step: Progress) -> None:
         report(step.iteration / step.iterations * task.searched_s / task.simulated_s)
 
-    run, settings, folder = task.run, task.settings, task.folder
+    run, settings, folder, method = task.run, task.settings, task.folder, method_named(task.run.method)
     robot, policy, controller = load_robot(settings.robot), None, None
     if task.policy is not None:
         policy = Policy.load(task.policy)
@@ -169,13 +165,7 @@ def perform(task: RunTask, report: Report) -> Row:
     resumed = (folder / CHECKPOINT).is_file()
     config = controller_of(run, settings)
     # compile or load before the clock starts
-    run_episodes(
-        robot,
-        demonstration,
-        duration_s=_WARM_UP_S,
-        config=method_named(run.method).configure(config),
-        controller=controller,
-    )
+    run_episodes(robot, demonstration, duration_s=_WARM_UP_S, config=method.configure(config), controller=controller)
     busy = time.process_time()
     result = measurement.searched(
         demonstration,
@@ -201,7 +191,7 @@ def perform(task: RunTask, report: Report) -> Row:
     if policy is not None:
         row |= _with_training(row, policy)
         policy.save(folder / POLICY_FILE)
-    if method_named(run.method).optimises:
+    if method.optimises:
         result.motion.save(folder / MOTION)
     write_text(folder / ROW, json.dumps(row, indent=1, allow_nan=False))
     return row
@@ -308,10 +298,9 @@ class ComparisonFolder(WorkFolder):
     def begin(self, environment: Mapping[str, Any], *, overwrite: bool) -> None:
         """Writes `environment.json`; with `overwrite`, removes the comparison in the folder first. Motions of an
         earlier `environment.json` keep their places. Raises `OutputError` if a file cannot be removed or written."""
-        earlier = [] if overwrite else self.motions()
         if overwrite:
             self.clear()
-        motions = [*(name for name in earlier if name in environment["motions"]), *environment["motions"]]
+        motions = [*(name for name in self.motions() if name in environment["motions"]), *environment["motions"]]
         write_json(self.path / ENVIRONMENT, {**environment, "motions": list(dict.fromkeys(motions))})
 
     def motions(self) -> list[str]:

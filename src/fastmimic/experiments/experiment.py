@@ -35,8 +35,7 @@ class Subject:
     policy: str = ""  # identifies the policy; empty without one
 
     def run(self, robot: Robot, seconds: float, start: Start, conditions: Conditions, **others: Any) -> Rollout:
-        """Episodes of its motion; `others` are further arguments of `run_episodes`, such as `config` in place of its
-        own."""
+        """Episodes of its motion; `others` are more arguments of `run_episodes`, such as another `config`."""
         others = {"config": self.config, "controller": self.controller} | others
         return run_episodes(robot, self.motion, start=start, duration_s=seconds, conditions=conditions, **others)
 

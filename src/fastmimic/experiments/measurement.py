@@ -1,5 +1,4 @@
-"""The common evaluation of all methods and motions; its rows as CSV, their means and deviations, and these as
-Markdown."""
+"""The common evaluation of all methods and motions; its rows, their means and deviations, and these as Markdown."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -94,18 +93,16 @@ def measure(
     controller = controller or method.controller
     seconds = episode_duration(demonstration, evaluation_s)
 
-    def episode(motion: Motion) -> Rollout:
-        return run_episodes(robot, motion, duration_s=seconds, config=result.config, log=True, controller=controller)
+    def episodes(motion: Motion, **others: Any) -> Rollout:
+        return run_episodes(robot, motion, duration_s=seconds, config=result.config, controller=controller, **others)
 
-    after = episode(result.motion)
-    before = episode(demonstration) if method.optimises else after
+    after = episodes(result.motion, log=True)
+    before = episodes(demonstration, log=True) if method.optimises else after
     rng = np.random.default_rng(_EVALUATION_SEED)
     room = start_room(demonstration, seconds)
     start = perturbed_start(perturbed_episodes + 1, room, rng).part(slice(1, None))
-    rough = run_episodes(
-        robot, result.motion, start=start, duration_s=seconds, config=result.config, controller=controller
-    )
-    nominal, unoptimised, perturbed = Metrics.of(after), Metrics.of(before), Metrics.of(rough)
+    nominal, unoptimised = Metrics.of(after), Metrics.of(before)
+    perturbed = Metrics.of(episodes(result.motion, start=start))
     share = after.clearance[0] / swing_clearance(demonstration, robot.foot_radius)
     style = None if method.own_feet else style_distance(result.motion.foot_pos_b, demonstration.foot_pos_b)
     figures = {
@@ -256,19 +253,14 @@ def _caption(rows: Sequence[Row]) -> str:
         counts = sorted({len(s.rows) for s in summaries(optimised)})
         seeds = " to ".join(str(n) for n in dict.fromkeys((counts[0], counts[-1])))
         seeds += " seeds" if counts[-1] > 1 else " seed"
-        tried = sorted(row["iterations"] for row in optimised)
-        iterations = " to ".join(str(n) for n in dict.fromkeys((tried[0], tried[-1])))
+        ran = sorted(row["iterations"] for row in optimised)
+        iterations = " to ".join(str(n) for n in dict.fromkeys((ran[0], ran[-1])))
         lengths = {name: all_of(name) for name in ("population", "duration_s")}
         search = CAPTIONS["search"].format(seeds=seeds, iterations=iterations, **lengths)
     if any(row["method"] == RL for row in rows):
         search += CAPTIONS["policies"].format(method=method_named(RL).label)
-    return CAPTIONS["comparison"].format(
-        search=search,
-        evaluation_s=all_of("evaluation_s"),
-        episodes=all_of("perturbed_episodes"),
-        joint=JOINT_NOISE,
-        velocity=VELOCITY_NOISE,
-    )
+    tried = {"evaluation_s": all_of("evaluation_s"), "episodes": all_of("perturbed_episodes")}
+    return CAPTIONS["comparison"].format(search=search, **tried, joint=JOINT_NOISE, velocity=VELOCITY_NOISE)
 
 
 def spread(s: Summary, column: str) -> str:

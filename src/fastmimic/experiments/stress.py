@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from fastmimic.base.arrays import stretches
 from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.text import markdown_table
@@ -159,12 +160,8 @@ def _tolerance(method: str, disturbance: str, rows: list[Row]) -> Tolerance:
     values = [float(row["value"]) for row in rows]
     holds = [1.0 - row["fell"] >= SUCCESS - 1e-9 for row in rows]
     nominal = values.index(swept(disturbance).nominal)
-    first = last = nominal
-    while first > 0 and holds[first - 1]:
-        first -= 1
-    while last + 1 < len(values) and holds[last + 1]:
-        last += 1
-    lower, upper = (values[first], values[last]) if holds[nominal] else (None, None)
+    around = [(values[a], values[b - 1]) for a, b in stretches(np.array(holds)) if a <= nominal < b]
+    lower, upper = around[0] if around else (None, None)
     return Tolerance(method, disturbance, lower, upper, values[0], values[-1], 1.0 - rows[nominal]["fell"])
 
 

@@ -159,8 +159,7 @@ def transferred(rows: Sequence[Row]) -> list[Transferred]:
     motions = list(dict.fromkeys(motion for motion, _ in groups))
     found = []
     for motion, method in sorted(groups, key=lambda key: motions.index(key[0])):
-        own = groups[motion, method]
-        by = [[row for row in own if row["stage"] == stage.name] for stage in stages]
+        by = [[row for row in groups[motion, method] if row["stage"] == stage.name] for stage in stages]
         rewards = np.array([[row["reward_mean"] for row in stage] for stage in by])
         falls = np.array([sum(row["fell"] > 0 for row in stage) for stage in by])
         found.append(Transferred(motion, method, rewards, falls))

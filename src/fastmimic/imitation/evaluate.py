@@ -49,12 +49,8 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Metrics over all episodes; means over legs and episodes."""
-        return {
-            "motion": self.motion.name,
-            "method": self.method,
-            "config": self.config.name,
-            **Metrics.of(self.rollout).as_dict(),
-        }
+        about = {"motion": self.motion.name, "method": self.method, "config": self.config.name}
+        return about | Metrics.of(self.rollout).as_dict()
 
 
 def evaluate(

@@ -102,16 +102,8 @@ def stitch(
     stage("stitching " + ", ".join(m.name for m in motions))
     demonstration = stitch_motions(robot, [m.target for m in motions], counts)
     given, whole, parts = demonstration, None, _Parts()
-    settings: dict[str, Any] = {
-        "method": method,
-        "config": config,
-        "iterations": iterations,
-        "population": PART_POPULATION,
-        "seed": seed,
-        "workers": workers,
-        "progress": progress,
-        "choice": choice,
-    }
+    search = {"iterations": iterations, "population": PART_POPULATION, "seed": seed, "choice": choice}
+    settings: dict[str, Any] = {"method": method, "config": config, "workers": workers, "progress": progress, **search}
     if chosen.optimises or any(m.demonstration is not None for m in motions):
         if chosen.optimises:
             if checkpoints is not None and not resume:

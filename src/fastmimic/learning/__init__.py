@@ -16,11 +16,8 @@ def register() -> None:
     import gymnasium
 
     if ENVIRONMENT_ID not in gymnasium.registry:
-        gymnasium.register(
-            ENVIRONMENT_ID,
-            entry_point="fastmimic.learning.environment:ImitationEnv",
-            vector_entry_point="fastmimic.learning.environment:ImitationVectorEnv",
-        )
+        one, several = (f"fastmimic.learning.environment:{name}" for name in ("ImitationEnv", "ImitationVectorEnv"))
+        gymnasium.register(ENVIRONMENT_ID, entry_point=one, vector_entry_point=several)
 
 
 def register_when_imported() -> None:

@@ -38,11 +38,8 @@ def _prepared(
         return Episodes(robot, motion, n, config, seed=seed, randomize=ranges, **options)
 
     lower, upper = (bound.astype(np.float32) for bound in action_bounds(config, robot))
-    return (
-        make,
-        gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float32),
-        gymnasium.spaces.Box(lower, upper, (ACTION_SIZE,), np.float32),
-    )
+    seen = gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float32)
+    return make, seen, gymnasium.spaces.Box(lower, upper, (ACTION_SIZE,), np.float32)
 
 
 class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
@@ -67,8 +64,7 @@ class ImitationEnv(gymnasium.Env[Seen, NDArray[np.float32]]):
         """`motion` is as in `fastmimic.load_motion`; `robot` is the robot, its name, or its MJCF; `duration_s` is the
         greatest length of an episode, s; if `perturbed`, episodes begin off the reference motion, as in an evaluation.
         `randomize` are ranges for each episode's robot and ground, such as `friction=0.4:1.2`; `render_mode` is None:
-        `fastmimic render` makes videos. Raises `FastMimicError` if there is no such robot, motion or range, or they do
-        not fit together."""
+        `fastmimic render` makes videos. Raises `FastMimicError` for no such robot, motion or range, or an unfit one."""
         self._make, self.observation_space, self.action_space = _prepared(
             1, motion, robot, config=config, randomize=randomize, duration_s=duration_s, perturbed=perturbed
         )
@@ -105,17 +101,13 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
         motion: str | Path | Motion = "trot",
         robot: str | Robot = "a1",
         *,
-        duration_s: float = EPISODE_S,
-        perturbed: bool = True,
-        randomize: Sequence[str] = (),
-        config: PolicyConfig | None = None,
         threads: int = 1,
         render_mode: str | None = None,
+        **options: Any,
     ) -> None:
-        """Arguments and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a seeded reset;
-        the results do not depend on the number of `threads`."""
-        options = {"duration_s": duration_s, "perturbed": perturbed, "threads": threads}
-        prepared = _prepared(num_envs, motion, robot, config=config, randomize=randomize, **options)
+        """Arguments, `options` and errors as for `ImitationEnv`. Robots and grounds of `randomize` are drawn at a
+        seeded reset; the results do not depend on the number of `threads`."""
+        prepared = _prepared(num_envs, motion, robot, threads=threads, **options)
         self._make, self.single_observation_space, self.single_action_space = prepared
         self.num_envs = num_envs
         self.render_mode = render_mode

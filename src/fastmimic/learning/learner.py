@@ -130,15 +130,11 @@ class Learner:
         falls = 0
         with torch.inference_mode():
             for _ in range(self.settings.horizon):
-                actions = self._algorithm.act(self._seen)
-                outcome = self.episodes.step(actions.cpu().numpy())
+                outcome = self.episodes.step(self._algorithm.act(self._seen).cpu().numpy())
                 self._seen = self._tensors(outcome.seen)
-                self._algorithm.process_env_step(
-                    self._seen,
-                    self._tensor(outcome.reward, np.float32),
-                    self._tensor(outcome.done, np.uint8),
-                    {"time_outs": self._tensor(outcome.ended, np.float32)},
-                )
+                reward, done = self._tensor(outcome.reward, np.float32), self._tensor(outcome.done, np.uint8)
+                more = {"time_outs": self._tensor(outcome.ended, np.float32)}
+                self._algorithm.process_env_step(self._seen, reward, done, more)
                 rewards.append(float(outcome.reward.mean()))
                 scores += outcome.score.tolist()
                 lengths += outcome.steps.tolist()
@@ -165,14 +161,10 @@ class Learner:
         normaliser = actor.obs_normalizer
         robot, motion, settings = self.episodes.robot, self.episodes.motion, self.settings
         trained = robot.name, motion.name, motion.n_samples, _ACTIVATION, settings.policy, settings.seed
-        return Policy(
-            tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers),
-            tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers),
-            normaliser.mean.cpu().numpy(),
-            (normaliser.std + normaliser.eps).cpu().numpy(),
-            *trained,
-            about or {},
-        )
+        weights = tuple(np.ascontiguousarray(layer.weight.detach().cpu().numpy().T) for layer in layers)
+        biases = tuple(layer.bias.detach().cpu().numpy().copy() for layer in layers)
+        mean, deviation = normaliser.mean.cpu().numpy(), (normaliser.std + normaliser.eps).cpu().numpy()
+        return Policy(weights, biases, mean, deviation, *trained, about or {})
 
     def onnx(self) -> bytes:
         """The actor as ONNX, normalisation included: `obs` (batch, observation) to `actions` (batch, 12)."""

@@ -108,14 +108,9 @@ class Policy:
     def network(self) -> Network:
         """The policy for the kernels, with its own work memory."""
         parts = [a.astype(np.float64).ravel() for pair in zip(self.weights, self.biases, strict=True) for a in pair]
-        return Network(
-            np.array(self.sizes, np.int64),
-            np.concatenate(parts),
-            ACTIVATIONS.index(self.activation),
-            self.mean.astype(np.float64),
-            self.deviation.astype(np.float64),
-            np.zeros((2, max(self.sizes))),
-        )
+        sizes, work = np.array(self.sizes, np.int64), np.zeros((2, max(self.sizes)))
+        mean, deviation = self.mean.astype(np.float64), self.deviation.astype(np.float64)
+        return Network(sizes, np.concatenate(parts), ACTIVATIONS.index(self.activation), mean, deviation, work)
 
     def check(self, robot: Robot, motion: Motion) -> None:
         """Raises `PolicyError` if the policy was trained for another robot or another motion."""
@@ -174,12 +169,9 @@ class Policy:
         return cls(weights, biases, array("mean"), array("deviation"), config=config, about=meta, **known)
 
     def _meta(self) -> dict[str, Any]:
-        return {
-            **{name: getattr(self, name) for name in _PLAIN},
-            "observation_size": self.sizes[0],
-            "action_size": self.sizes[-1],
-            "config": asdict(self.config),
-        }
+        known = {name: getattr(self, name) for name in _PLAIN}
+        sizes = {"observation_size": self.sizes[0], "action_size": self.sizes[-1]}
+        return {**known, **sizes, "config": asdict(self.config)}
 
 
 @kernel

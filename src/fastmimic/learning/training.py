@@ -4,6 +4,7 @@ import io
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -125,11 +126,8 @@ def train(
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
     """
     settings = settings if settings is not None else TrainingSettings()
-    learner = Learner(robot, motion, settings, device=device, threads=threads)
-    try:
+    with closing(Learner(robot, motion, settings, device=device, threads=threads)) as learner:
         return _Training(learner, folder, evaluate_every, progress).run(steps, resume)
-    finally:
-        learner.close()
 
 
 @dataclass(eq=False)

@@ -206,8 +206,7 @@ class _Search:
                     best = max(float(given.max()), *(float(s.max()) for s in self.scores))
                     last = done if self._settled() else self.limit
                     remaining = each * (last - done)
-                    rate = self.settings.population / each
-                    progress(Progress(done, last, best, rate, remaining))
+                    progress(Progress(done, last, best, self.settings.population / each, remaining))
         except KeyboardInterrupt:
             interrupted = True
             whole = len(self.sigma)  # an interrupt may come while an iteration is being recorded

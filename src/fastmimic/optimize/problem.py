@@ -58,8 +58,7 @@ class Objective:
 
 class Problem(ABC):
     """Scores parameter vectors in closed loop, in parallel, with the same bits for any number of workers, in episodes
-    of `steps` control steps. The search begins at `start` (k,). Subclasses define what a vector means: `tables` and
-    `motion`."""
+    of `steps` control steps. The search begins at `start` (k,). Subclasses define what a vector means."""
 
     steps: int
 
@@ -116,10 +115,7 @@ class Problem(ABC):
     @cached_property
     def identity(self) -> str:
         """A digest of all that determines scores; identifies checkpoints."""
-        digest = hashlib.sha256()
-        digest.update(self.tables(self.initial[None]).tobytes())
-        digest.update(reference_table(self.demonstration, self.robot).tobytes())
-        digest.update(self.robot.content)
+        tables = self.tables(self.initial[None]), reference_table(self.demonstration, self.robot)
         settings = {
             "config": self.config.as_dict(),
             "objective": asdict(self.objective),
@@ -129,8 +125,8 @@ class Problem(ABC):
         }
         if len(REWARD_TERMS) > N_TERMS:
             settings["reward"] = {term.name: term.weight for term in REWARD_TERMS.values()}
-        digest.update(json.dumps(settings, sort_keys=True).encode())
-        return digest.hexdigest()
+        content = (*(table.tobytes() for table in tables), self.robot.content)
+        return hashlib.sha256(b"".join((*content, json.dumps(settings, sort_keys=True).encode()))).hexdigest()
 
     def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
         """Runs one episode per table (n, t) of `SAMPLE` on the workers; returns a result for each part, in order."""

@@ -112,8 +112,7 @@ class GettingUp:
         ground, command = self._simulation.ground, self.command
         obs = (observation if ground is None else ground.seen(observation))[0]
         self._time += self._dt
-        command["torque"] = 0.0
-        command["joint_vel"] = 0.0
+        command["torque"] = command["joint_vel"] = 0.0
         if not np.isfinite(obs["root_pos"]).all() or not np.isfinite(obs["joint_pos"]).all():
             self._set_on_belly(np.zeros(2), 0.0)
             obs = self._simulation.observation[0]

@@ -145,20 +145,15 @@ class LiveHistory:
     def take(self) -> Take:
         """The last `KEPT_S`, with the present in the last row."""
         session, rows = self._session, self._rows
-
-        def stacked(name: str) -> Any:
-            return np.stack([getattr(row, name) for row in rows])
-
+        names = ("pose", "wanted", "reference", "measured", "stance", "force", "asked", "terms", "reward")
+        stacked: dict[str, Any] = {name: np.stack([getattr(row, name) for row in rows]) for name in names}
         return Take(
             session.robot,
             session.state,
             self.rate_hz,
-            stacked("pose"),
-            stacked("wanted"),
-            np.zeros(len(rows), np.int64),
-            np.zeros(1, np.int64),
-            stacked("reference"),
-            **{name: stacked(name) for name in ("measured", "stance", "force", "asked", "terms", "reward")},
+            samples=np.zeros(len(rows), np.int64),
+            cycle_starts=np.zeros(1, np.int64),
+            **stacked,
             friction=session.controller.config.stance.friction,
             terrain=session.terrain,
         )
@@ -199,11 +194,7 @@ class PlayPage(WebPage):
     too, if there are any; raises as `WebPage`."""
 
     def __init__(
-        self,
-        session: "LiveSession",
-        heading: str,
-        port: int = DEFAULT_PORT,
-        commands: "Commands | None" = None,
+        self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT, commands: "Commands | None" = None
     ) -> None:
         super().__init__(port)
         self.session = session

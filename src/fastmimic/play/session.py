@@ -100,7 +100,7 @@ def _short(source: str, motion: Motion) -> str:
 class LiveSession:
     """One robot in an endless simulation. One thread at a time.
 
-    `motions` are cyclic ones by name, `start` is the first of them ("stand" if None), `method` the controller, one of
+    `motions` are cyclic ones by name, `start` is the first of them, `method` the controller, one of
     `playable_methods()`, `config` its parameters, or the name of a set. With `gaits` the robot is steered by a velocity
     instead, see `steer`. Raises `ConfigError` if there is no such motion, controller or configuration, or the simulator
     is not MuJoCo; `MotionError` for a motion that cannot be played.
@@ -117,7 +117,7 @@ class LiveSession:
         robot: Robot,
         motions: Mapping[str, Motion] | MotionSet,
         *,
-        start: str | None = None,
+        start: str = STAND,
         method: str = "mbc",
         config: ControllerConfig | str = "default",
         conditions: Conditions | None = None,
@@ -127,11 +127,9 @@ class LiveSession:
         self._given = controller_config(config) if isinstance(config, str) else config
         self.rate_hz = self._given.rate_hz
         self.dt = 1.0 / self.rate_hz
-        self.library = (
-            motions
-            if isinstance(motions, MotionSet)
-            else MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
-        )
+        if not isinstance(motions, MotionSet):
+            motions = MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
+        self.library = motions
         self.conditions = conditions if conditions is not None else Conditions()
         simulation = make_simulation(robot, 1, self.conditions, control_rate_hz=self.rate_hz)
         if not isinstance(simulation, MujocoSimulation):
@@ -144,9 +142,8 @@ class LiveSession:
         self._observer = Observer(robot, 1, self.rate_hz, self.conditions) if sensors else None
         self._seen: NDArray[Any] = simulation.observation
         self.world = LiveWorld(self.simulation)
-        name = start if start is not None else STAND
         self.reference: LiveReference | Steered = (
-            LiveReference(robot, self.library, self.rate_hz, name) if gaits is None else Steered(gaits)
+            LiveReference(robot, motions, self.rate_hz, start) if gaits is None else Steered(gaits)
         )
         self._clock = np.zeros(1, CLOCK)
         self._truth = np.zeros(1, SAMPLE)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+_Text = tuple[str, ImageFont.FreeTypeFont, tuple[int, int, int, int]]  # with its colour
 _LOG = logging.getLogger(__name__)
 _OFF: Final = ("disable", "disabled", "off", "false", "0")
 _NAMED: Final = ("egl", "osmesa", "glfw", "cgl")
@@ -73,8 +74,7 @@ class Offscreen:
             else:
                 mujoco.mjr_rectangle(rect, *BLANK, 1.0)
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
-        whole = mujoco.MjrRect(0, 0, self.width, self.height)
-        mujoco.mjr_readPixels(picture, None, whole, self._context)
+        mujoco.mjr_readPixels(picture, None, mujoco.MjrRect(0, 0, self.width, self.height), self._context)
         return picture[::-1]
 
     def close(self) -> None:
@@ -205,10 +205,7 @@ def _clock_plate(text: str, unit: float) -> Image.Image:
 
 
 def _plate(
-    lines: Sequence[tuple[str, ImageFont.FreeTypeFont, tuple[int, int, int, int]]],
-    pad: int,
-    unit: float,
-    sample: tuple[float, float, float] | None = None,
+    lines: Sequence[_Text], pad: int, unit: float, sample: tuple[float, float, float] | None = None
 ) -> Image.Image:
     """A dark rounded plate with lines of text, and at their left a sample of a colour."""
     gap, side = round(5 * unit), round(16 * unit)

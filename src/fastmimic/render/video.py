@@ -88,8 +88,7 @@ def render_video(
     fps = fps if fps is not None else (GIF_FPS if gif else FPS)
     size = size if size is not None else (GIF_SIZE if gif else quality.size)
     columns = columns if columns is not None else min(len(tracks), 2)
-    numbers = {"rate_hz": rate_hz, "fps": fps, "slow_motion": slow_motion}
-    for name, value in numbers.items():
+    for name, value in (("rate_hz", rate_hz), ("fps", fps), ("slow_motion", slow_motion)):
         if not (np.isfinite(value) and value > 0):
             raise ConfigError(f"{name} must be positive, found {value:g}")
     if not 1 <= columns <= len(tracks):
@@ -102,8 +101,7 @@ def render_video(
     video_scene = _build(robot, shown, size, quality, loop_m)
     legend = (GHOST_RGBA[:3], "demonstration") if any(track.ghost is not None for track in tracks) else None
     note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
-    words = [(t.title, t.caption) for t in tracks]
-    overlay = Overlay(*size, words, legend, note, columns=columns, clock=clock)
+    overlay = Overlay(*size, [(t.title, t.caption) for t in tracks], legend, note, columns=columns, clock=clock)
 
     try:
         with ExitStack() as stack:
@@ -183,16 +181,9 @@ def _build(
     tile = TILE_M
     if loop_m is not None and loop_m > 0:  # a whole number of the pattern's periods
         tile = loop_m / (2 * max(1, round(loop_m / (2 * TILE_M))))
-    return build_video_scene(
-        robot,
-        ghost=any(s.ghost is not None for s in shown),
-        width=size[0],
-        height=size[1],
-        floor=np.array([paths.min(axis=0), paths.max(axis=0)]),
-        quality=quality,
-        tile=tile,
-        terrain=next((s.terrain for s in shown if s.terrain is not None), None),
-    )
+    ghost, floor = any(s.ghost is not None for s in shown), np.array([paths.min(axis=0), paths.max(axis=0)])
+    terrain = next((s.terrain for s in shown if s.terrain is not None), None)
+    return build_video_scene(robot, ghost=ghost, size=size, floor=floor, quality=quality, tile=tile, terrain=terrain)
 
 
 def _panels(

@@ -81,17 +81,16 @@ def build_video_scene(
     robot: Robot,
     *,
     ghost: bool,
-    width: int,
-    height: int,
+    size: tuple[int, int],
     floor: Array,
     quality: Quality = PREVIEW,
     tile: float = TILE_M,
     terrain: Terrain | None = None,
 ) -> VideoScene:
     """Puts a robot, and a translucent ghost of it if wanted, on a checkered ground with tiles of `tile` m, in a picture
-    of `width` x `height` pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m; `terrain`
-    is the ground, flat if None."""
-    spec = _studio(width, height, quality)
+    of `size`, width and height in pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m;
+    `terrain` is the ground, flat if None."""
+    spec = _studio(size, quality)
     if terrain is None:
         _add_ground(spec, floor, quality, tile)
     else:
@@ -114,11 +113,11 @@ def build_video_scene(
     return VideoScene(model, robot_qpos, ghost_qpos, casts_shadow, quality, tiles, tile, terrain)
 
 
-def _studio(width: int, height: int, quality: Quality) -> mujoco.MjSpec:
+def _studio(size: tuple[int, int], quality: Quality) -> mujoco.MjSpec:
     """A scene with light and haze only."""
     spec = mujoco.MjSpec.from_string(resources.files("fastmimic.render").joinpath("video.xml").read_text("utf-8"))
     visual, facets = spec.visual, spec.visual.quality
-    visual.global_.offwidth, visual.global_.offheight = width, height
+    visual.global_.offwidth, visual.global_.offheight = size
     facets.offsamples, facets.shadowsize = quality.samples, quality.shadow_map
     facets.numslices, facets.numstacks, facets.numquads = quality.facets, quality.facets // 2, 1
     visual.rgba.fog = [*_HAZE, 1]
@@ -180,19 +179,10 @@ def _add_ground(spec: mujoco.MjSpec, floor: Array, quality: Quality, tile: float
         vertices, faces = _checkered(tile, parity)
         if parity == 0:
             vertices, faces = _framed(vertices, faces)
-        spec.add_mesh(
-            name=name,
-            uservert=vertices.ravel(),
-            userface=faces.ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
+        shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        spec.add_mesh(name=name, uservert=vertices.ravel(), userface=faces.ravel(), inertia=shell)
         spec.worldbody.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
-            rgba=[*rgb, 1],
-            contype=0,
-            conaffinity=0,
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*rgb, 1], contype=0, conaffinity=0
         )
     spec.delete(spec.material(_CHECKER))
     spec.delete(spec.texture(_CHECKER))
@@ -250,8 +240,7 @@ def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
 
 class CameraView:
     """One panel of a video: poses the robots as `shown`, frame by frame, and collects what to draw. The camera looks
-    along `azimuth_deg`, from the world's x axis, at the points `look_at` (n, 3), in `distance`, m; trails have a width
-    in pixels."""
+    along `azimuth_deg`, from the world's x axis, at `look_at` (n, 3), in `distance`, m; trails are in pixels."""
 
     def __init__(
         self,

@@ -23,7 +23,7 @@ from fastmimic.experiments.compare import ComparisonPlan
 from fastmimic.experiments.comparison_run import ComparisonFolder, Row, Run, run_of
 from fastmimic.experiments.experiment import all_parts, part_file
 from fastmimic.experiments.measurement import COLUMNS, Summary, ablation_table, comparison_table, summaries
-from fastmimic.imitation.methods import METHODS, method_named
+from fastmimic.imitation.methods import METHODS, Method, method_named
 from fastmimic.render import figure_style as style
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
@@ -32,6 +32,7 @@ from fastmimic.simulation.terrain import TERRAINS
 
 SHOWN: Final = "dog:pace"  # the tracking figure's motion, as in the paper; else the first one compared
 _PERTURBED: Final[dict[str, Any]] = {"marker": "o", "markerfacecolor": "white", "markeredgecolor": INK}
+_THIN: Final[dict[str, Any]] = {"color": MUTED, "linewidth": 0.9, "linestyle": (0, (3, 2))}
 _BAR: Final = 0.84  # share of a group's width taken by bars
 _LABEL: Final = 0.04  # height of a bar's number, in units of the reward
 _CIRCLE: Final = 0.02  # height of a circle with its gap to the number, in units of the reward
@@ -58,8 +59,7 @@ def write_comparison(folder: ComparisonFolder, plan: ComparisonPlan, rows: Seque
     folder.write(RESULTS_CSV, csv_text(COLUMNS, found))
     whole = [row for row in found if not row["variant"]]
     if whole:
-        expected = len(whole) + sum(not run.variant for run in missing)
-        folder.write(TABLE, comparison_table(whole, expected))
+        folder.write(TABLE, comparison_table(whole, len(whole) + sum(not run.variant for run in missing)))
         figure = comparison_figure(summaries(whole), f"Reward by method, {whole[0]['robot']}")
         style.save(figure, folder.path / compared.COMPARISON)
         written += [TABLE, compared.COMPARISON, *_write_tracking(folder, whole)]
@@ -100,44 +100,37 @@ def _write_tracking(folder: ComparisonFolder, rows: Sequence[Row]) -> list[str]:
 def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     """Reward of every method on every motion, grouped by motion, methods in the paper's order; without variants."""
     motions = list(dict.fromkeys(s.motion for s in summaries))
-    methods = [name for name in METHODS if any(s.method == name for s in summaries)]
+    methods = [m for m in METHODS.values() if any(s.method == m.name for s in summaries)]
     found = {(s.motion, s.method): s for s in summaries}
     figure = style.new_figure(max(7.5, 1.2 + 0.42 * len(motions) * (len(methods) + 1)), 4.6, title)
     axes = figure.subplots()
     width = _BAR / len(methods)
-    for j, name in enumerate(methods):
-        color, hatch = METHODS[name].color, METHODS[name].hatch
+    for j, method in enumerate(methods):
         for i, motion in enumerate(motions):
-            if (motion, name) in found:
-                _bar(axes, i - _BAR / 2 + (j + 0.5) * width, width, found[motion, name], color, hatch)
+            if s := found.get((motion, method.name)):
+                _bar(axes, i - _BAR / 2 + (j + 0.5) * width, width, s, method)
     axes.set_xticks(range(len(motions)), motions)
     axes.set_xlim(-0.55, len(motions) - 0.45)
     axes.set_ylim(0, 1.12)
     axes.set_yticks(np.linspace(0, 1, 6))
-    style.tidy(
-        axes, "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts", "", "reward (0 to 1)"
-    )
+    said = "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts"
+    style.tidy(axes, said, ylabel="reward (0 to 1)")
     axes.grid(False, axis="x")
     axes.tick_params(axis="x", labelsize=9.5, length=0)
-    bars = [
-        Patch(facecolor=m.color, hatch=m.hatch, edgecolor="white", label=m.label)
-        for m in (METHODS[name] for name in methods)
-    ]
+    bars = [Patch(facecolor=m.color, hatch=m.hatch, edgecolor="white", label=m.label) for m in methods]
     style.legend_below(figure, more=[*bars, *_marks()])
     return figure
 
 
 def _marks() -> list[Line2D]:
-    return [
-        Line2D([], [], **_PERTURBED, linestyle="", label="perturbed starts"),
-        Line2D([], [], marker="$×$", color=INK, linestyle="", label="fell in the nominal episode"),
-    ]
+    fell = Line2D([], [], marker="$×$", color=INK, linestyle="", label="fell in the nominal episode")
+    return [Line2D([], [], **_PERTURBED, linestyle="", label="perturbed starts"), fell]
 
 
-def _bar(axes: Axes, x: float, width: float, s: Summary, color: str, hatch: str) -> None:
+def _bar(axes: Axes, x: float, width: float, s: Summary, method: Method) -> None:
     mean, std, rough = s.mean("reward_mean"), s.std("reward_mean"), s.mean("reward_mean_perturbed")
     assert mean is not None, "every run has a reward"
-    axes.bar(x, mean, 0.92 * width, color=color, hatch=hatch, edgecolor="white", linewidth=0)
+    axes.bar(x, mean, 0.92 * width, color=method.color, hatch=method.hatch, edgecolor="white", linewidth=0)
     if std is not None:
         axes.errorbar(x, mean, std, color=INK, capsize=2.5, linewidth=1.1)
     if rough is not None:
@@ -210,13 +203,10 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
     grid = figure.subplots(1, len(motions), sharey=True, squeeze=False)
     for axes, motion in zip(grid[0], motions, strict=True):
         for j, variant in enumerate(variants):
-            s = found.get((motion, variant))
-            if s is not None:
+            if s := found.get((motion, variant)):
                 _row(axes, j, s)
-        if (motion, "") in found:
-            axes.axvline(
-                found[motion, ""].mean("reward_mean") or 0.0, color=MUTED, linewidth=0.9, linestyle=(0, (3, 2))
-            )
+        if s := found.get((motion, "")):
+            axes.axvline(s.mean("reward_mean") or 0.0, **_THIN)
         axes.set_xlim(0, 1)
         axes.set_xticks((0, 0.5, 1))
         axes.set_yticks(range(len(variants)), [v or f"{method_named(ABLATED).label}, as it is" for v in variants])
@@ -282,9 +272,7 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
         y = [1.0 - row[curve] if curve == "fell" else row[curve] for row in own]
         look: dict[str, Any] = {"color": color, "linestyle": dash, "linewidth": 1.7, "marker": marker, "markersize": 4}
         axes.plot(x, y, **look, label=method_named(method).label, zorder=3)
-    axes.axvline(
-        min(kind.nominal, beyond), color=MUTED, linewidth=0.9, linestyle=(0, (3, 2)), label="nominal value", zorder=1
-    )
+    axes.axvline(min(kind.nominal, beyond), **_THIN, label="nominal value", zorder=1)
     if curve == "fell":
         axes.axhline(stress.SUCCESS, color="#bbbbbb", linewidth=0.8, zorder=1)
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))

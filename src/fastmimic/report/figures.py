@@ -2,7 +2,6 @@
 trunk, joints against their limits) and of a take (segments, feet, speed, heading)."""
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -172,40 +171,19 @@ def draw_run(result: Imitation, folder: RunFolder) -> None:
     style.save(run_figure(result), folder.path / TRACKING)
 
 
-def write_video(
-    result: Imitation,
-    folder: RunFolder,
-    progress: Callable[[int, int], None] | None = None,
-    quality: str = "preview",
-    clip: Clip | None = None,
-) -> None:
+def write_video(result: Imitation, folder: RunFolder, clip: Clip | None = None, **options: Any) -> None:
     """Adds the video, if anything can draw, and its time to the metrics. Arguments, errors as `render_run`."""
     began = time.perf_counter()
-    if render_run(result, folder.path / VIDEO, progress, quality, clip):
+    if render_run(result, folder.path / VIDEO, clip, **options):
         folder.write_metrics(result.metrics(), time.perf_counter() - began)
 
 
-def render_run(
-    result: Imitation,
-    path: Path,
-    progress: Callable[[int, int], None] | None = None,
-    quality: str = "preview",
-    clip: Clip | None = None,
-) -> bool:
+def render_run(result: Imitation, path: Path, clip: Clip | None = None, **options: Any) -> bool:
     """Writes a video of the animal of `clip`, the robot with its motion as it is, and with the result; returns whether
-    anything can draw. Arguments, errors as `render_video`."""
+    anything can draw. `options` and errors as `render_video`."""
     tracks = _tracks(result, clip)
-    info = render_video(
-        result.robot,
-        tracks,
-        path,
-        size=None if len(tracks) < 3 else THREE_PANELS,
-        columns=len(tracks),
-        rate_hz=result.before.course.rate_hz,
-        progress=progress,
-        quality=quality,
-    )
-    return info is not None
+    options |= {"size": None if len(tracks) < 3 else THREE_PANELS, "columns": len(tracks)}
+    return render_video(result.robot, tracks, path, rate_hz=result.before.course.rate_hz, **options) is not None
 
 
 def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
@@ -242,11 +220,8 @@ def motion_figure(motion: Motion, robot: Robot) -> Figure:
     if animal is not None:
         panels["height"].plot(time, animal.root_pos_w[:, 2], **_ANIMAL, label="the animal's")
     panels["height"].plot(time, motion.root_pos_w[:, 2], **AFTER._asdict())
-    style.tidy(
-        panels["height"],
-        "base height above the ground" + ("" if animal is None else " (grey: the animal's)"),
-        ylabel="m",
-    )
+    title = "base height above the ground" + ("" if animal is None else " (grey: the animal's)")
+    style.tidy(panels["height"], title, ylabel="m")
     _widen(panels["height"], 0.04)
     roll, pitch = np.degrees(roll_pitch_from_quat(motion.root_quat_wxyz))
     panels["tilt"].plot(time, pitch, **AFTER._asdict(), label="pitch")

@@ -58,20 +58,11 @@ def comparison_page(path: Path) -> HtmlReport:
     of = {row["motion"] for row in rows if row["variant"]}
     if of or about.get("ablations"):
         own = [row for row in rows if row["motion"] in of and row["method"] == ABLATED]
-        figures = [ablations(summaries(own))] if own else []
-        parts["ablations"] = _part(
-            path, figures, [] if own else [compared.ABLATION_FIGURE], compared.ABLATION_TABLE, missing
-        )
-    return render(
-        "comparison.html",
-        [figure for part in parts.values() for figure in part["figures"]],
-        title="Comparison",
-        missing=missing,
-        about=about,
-        settings=settings,
-        parts=parts,
-        rows=rows,
-    )
+        figures, pictures = ([ablations(summaries(own))], []) if own else ([], [compared.ABLATION_FIGURE])
+        parts["ablations"] = _part(path, figures, pictures, compared.ABLATION_TABLE, missing)
+    sections = {name: part["figures"] for name, part in parts.items()}
+    shown: dict[str, Any] = {"about": about, "settings": settings, "parts": parts, "rows": rows}
+    return render("comparison.html", sections, title="Comparison", missing=missing, **shown)
 
 
 def results_page(path: Path) -> HtmlReport:
@@ -84,7 +75,7 @@ def results_page(path: Path) -> HtmlReport:
     if not pictures:
         missing.append(f"{path} has no figures: without them")
     title = str(about["experiment"]).capitalize()
-    return render("results.html", [], title=title, missing=missing, about=about, pictures=pictures, table=table)
+    return render("results.html", {}, title=title, missing=missing, about=about, pictures=pictures, table=table)
 
 
 def _text(path: Path) -> str | None:
@@ -99,8 +90,7 @@ def _methods_part(path: Path, rows: list[Row], missing: list[str]) -> dict[str, 
     figures, pictures = [], []
     if rows:
         found = summaries(rows)
-        spent = cost(found)
-        figures = [rewards(found), manners(found), *([] if spent is None else [spent])]
+        figures = [rewards(found), manners(found), *cost(found)]
     else:
         pictures.append(compared.COMPARISON)
     if not rows or any(method_named(row["method"]).optimises for row in rows):
@@ -163,28 +153,19 @@ def rewards(found: Sequence[Summary]) -> Figure:
         title += f": {leading[0]} is best, {best:.3f} on average"
     elif len(leading) > 1:
         title += f": {', '.join(leading[:-1])} and {leading[-1]} are within {_ALIKE:g}, {best:.3f} on average at best"
-    return Figure(
-        "rewards",
-        title,
-        [_bars(found, measure) for measure in _MEASURES["rewards"]],
-        1,
-        (*map(_key, _methods(found)), _SEED),
-    )
+    plots = [_bars(found, measure) for measure in _MEASURES["rewards"]]
+    return Figure("rewards", title, plots, 1, (*map(_key, _methods(found)), _SEED))
 
 
 def manners(found: Sequence[Summary]) -> Figure:
     """Similarity to the animal's motion, and tracking; without variants."""
-    return Figure(
-        "manners",
-        "Style and tracking: a reward that is got by shuffling shows here",
-        [_bars(found, measure, height=270) for measure in _MEASURES["manners"]],
-        2,
-        (*map(_key, _methods(found)), _SEED, _BEFORE),
-    )
+    title = "Style and tracking: a reward that is got by shuffling shows here"
+    plots = [_bars(found, measure, height=270) for measure in _MEASURES["manners"]]
+    return Figure("manners", title, plots, 2, (*map(_key, _methods(found)), _SEED, _BEFORE))
 
 
-def cost(found: Sequence[Summary]) -> Figure | None:
-    """Reward against processor time, without variants; None if no run has one."""
+def cost(found: Sequence[Summary]) -> list[Figure]:
+    """Reward against processor time, without variants; none if no run has one."""
     data = []
     for name in _methods(found):
         rows = [row for s in found if s.method == name for row in s.rows if row.get("cpu_s")]
@@ -194,16 +175,12 @@ def cost(found: Sequence[Summary]) -> Figure | None:
             trace["marker"]["line"] = {"width": 1, "color": "var(--paper)"}
             data.append({**trace, "text": [f"{row['motion']}, seed {row['seed']:g}" for row in rows]})
     if not data:
-        return None
+        return []
     layout = draw.layout_of("processor time (s)", "reward (0 to 1)", 330, hovermode="closest")
     layout["xaxis"]["type"] = "log"
-    return Figure(
-        "cost",
-        "What a reward costs: the processor time of each run, optimisation and evaluation",
-        [Plot("", data, layout)],
-        1,
-        [replace(_key(name), pattern=None) for name in _methods(found)],
-    )
+    title = "What a reward costs: the processor time of each run, optimisation and evaluation"
+    legend = [replace(_key(name), pattern=None) for name in _methods(found)]
+    return [Figure("cost", title, [Plot("", data, layout)], 1, legend)]
 
 
 def ablations(found: Sequence[Summary]) -> Figure:
@@ -234,14 +211,7 @@ def ablations(found: Sequence[Summary]) -> Figure:
         if whole is not None:
             layout["shapes"] = [draw.rule(_WHOLE, x=whole, width=1.2)]
         plots.append(Plot(motion, data, layout))
-    return Figure(
-        "ablation",
-        title,
-        plots,
-        2,
-        (_NOMINAL, _ROUGH, _WHOLE),
-        told={"method": method_named(ABLATED).label},
-    )
+    return Figure("ablation", title, plots, 2, (_NOMINAL, _ROUGH, _WHOLE), told={"method": method_named(ABLATED).label})
 
 
 def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot:
@@ -283,13 +253,8 @@ def _bars(found: Sequence[Summary], measure: Measure, height: int = 330) -> Plot
     seeds = draw.points(numbers(dots[0]), numbers(dots[1], 17), _SEED, "%{text}: %{y:.4g}<extra></extra>", size=5)
     data.append({**seeds, "text": dots[2]})
     layout = draw.layout_of("motion", measure.unit, height, hovermode="closest", barmode="overlay", shapes=before)
-    layout["xaxis"] |= {
-        "tickmode": "array",
-        "tickvals": list(range(len(motions))),
-        "ticktext": motions,
-        "range": [-0.55, len(motions) - 0.45],
-        "showgrid": False,
-    }
+    layout["xaxis"] |= {"tickmode": "array", "tickvals": list(range(len(motions))), "ticktext": motions}
+    layout["xaxis"] |= {"range": [-0.55, len(motions) - 0.45], "showgrid": False}
     layout["yaxis"] |= {"rangemode": "tozero"} if measure.top is None else {"range": [0, measure.top]}
     return Plot(measure.title, data, layout)
 

@@ -24,7 +24,7 @@ _SHOWN: Final = 99.9  # percentile at which the histograms end; the last bar hol
 def deployment_page(path: Path) -> HtmlReport:
     """The page of a deployment's folder; raises `FastMimicError`."""
     missing: list[str] = []
-    sections: dict[str, list[Figure]] = {"base": [], "times": [], "limits": []}
+    sections: draw.Sections = {"base": [], "times": [], "limits": []}
     try:
         try:
             log = DeploymentLog.load(path)
@@ -43,35 +43,24 @@ def deployment_page(path: Path) -> HtmlReport:
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
     return render(
-        "deployment.html",
-        [figure for found in sections.values() for figure in found],
-        title=title,
-        missing=missing,
-        about=about,
-        summary=summary,
-        sections=sections,
-        arguments=arguments,
+        "deployment.html", sections, title=title, missing=missing, about=about, summary=summary, arguments=arguments
     )
 
 
-def _sections(log: DeploymentLog, result: dict[str, Any]) -> dict[str, list[Figure]]:
+def _sections(log: DeploymentLog, result: dict[str, Any]) -> draw.Sections:
     rows = log.rows
     time = rows["time_s"]
     span = float(time[0]), float(time[-1])
     timed = bool(result["control_us"]["max"])  # on a virtual clock nothing takes any time
-    reading, limits = rows["reading"], log.meta
-    loads = (
-        ("torque", "Motor torque, as the robot says", "N·m", reading["torque"], limits["torque_limit"]),
-        ("speed", "Joint speed, as the robot says", "rad/s", reading["joint_vel"], limits["joint_speed_limit"]),
-    )
-    return {
-        "base": [_base(time, span, log)],
-        "times": [_periods(time, span, log), _histograms(rows)] if timed else [],
-        "limits": [
-            against_limit(name, title, unit, time, [(values, ROBOT)], limit, span, about="as measured")
-            for name, title, unit, values, limit in loads
-        ],
-    }
+    limits = []
+    for name, title, unit, values, limit in (
+        ("torque", "Motor torque, as the robot says", "N·m", "torque", "torque_limit"),
+        ("speed", "Joint speed, as the robot says", "rad/s", "joint_vel", "joint_speed_limit"),
+    ):
+        found, most = [(rows["reading"][values], ROBOT)], log.meta[limit]
+        limits.append(against_limit(name, title, unit, time, found, most, span, about="as measured"))
+    times = [_periods(time, span, log), _histograms(rows)] if timed else []
+    return {"base": [_base(time, span, log)], "times": times, "limits": limits}
 
 
 def _base(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
@@ -83,23 +72,18 @@ def _base(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
     heights = [(height, ROBOT)]
     if log.truth is not None:
         heights.append((log.truth["root_pos"][:, 2], Key("truth", "var(--before)", "2px,5px")))
-    return Figure(
-        "base",
-        f"Height and tilt: at most {greatest(tilt):.2f} rad from the vertical",
-        [
-            time_plot("Height", "height of the base (m)", time, heights, span, height=240),
-            time_plot("Tilt", "tilt (rad)", time, [(tilt, ROBOT)], span, height=240, peak=True),
-        ],
-        2,
-        [key for _, key in heights],
-    )
+    plots = [
+        time_plot("Height", "height of the base (m)", time, heights, span, height=240),
+        time_plot("Tilt", "tilt (rad)", time, [(tilt, ROBOT)], span, height=240, peak=True),
+    ]
+    title = f"Height and tilt: at most {greatest(tilt):.2f} rad from the vertical"
+    return Figure("base", title, plots, 2, [key for _, key in heights])
 
 
 def _periods(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figure:
     error = np.full(len(time), np.nan)
     error[1:] = 1e6 * np.abs(np.diff(time) - 1.0 / log.rate_hz)
-    least = 0.1  # µs, for the logarithm
-    drawn = [(np.fmax(error, least), ROBOT)]
+    drawn = [(np.fmax(error, 0.1), ROBOT)]  # at least 0.1 µs, for the logarithm
     unit = f"|period − {1e3 / log.rate_hz:g} ms| (µs)"
     periods = time_plot("Period error", unit, time, drawn, span, height=240, peak=True)
     periods.layout["yaxis"]["type"] = "log"
@@ -107,12 +91,7 @@ def _periods(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figu
     age = time_plot("Age of the state when it was used", "age (ms)", time, ages, span, height=240, peak=True)
     found = error[1:]
     said = f": 99 % are within {np.percentile(found, 99):.0f} µs, the worst was {greatest(found):.0f} µs off"
-    return Figure(
-        "periods",
-        f"Periods{said if len(found) else ''}",
-        [periods, age],
-        2,
-    )
+    return Figure("periods", f"Periods{said if len(found) else ''}", [periods, age], 2)
 
 
 def _histograms(rows: NDArray[Any]) -> Figure:
@@ -135,10 +114,5 @@ def _histograms(rows: NDArray[Any]) -> Figure:
         note = f"median {np.median(us):.0f} µs, 99 % below {np.percentile(us, 99):.0f} µs"
         plots.append(Plot(title, [bars], draw.layout_of("µs", "periods", 220), note))
         said.append(f"{name} {np.median(us):.0f} µs")
-    return Figure(
-        "histograms",
-        f"What takes how long, in the median: {', '.join(said)}",
-        plots,
-        2,
-        told={"percent": _SHOWN},
-    )
+    title = f"What takes how long, in the median: {', '.join(said)}"
+    return Figure("histograms", title, plots, 2, told={"percent": _SHOWN})

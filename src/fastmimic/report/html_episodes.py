@@ -48,15 +48,8 @@ def feet(e: "RerunEpisodes") -> list[Figure]:
             )
             plots.append(plot)
         rms = [1e3 * float(np.sqrt(np.mean(rollout.foot_rmse[0, :, axis] ** 2))) for rollout, *_ in e.series]
-        figures.append(
-            Figure(
-                name,
-                f"{what}: RMS error {arrow(rms, 1)} mm over the four feet",
-                plots,
-                4,
-                (DEMONSTRATION, *e.keys, STANCE),
-            )
-        )
+        title = f"{what}: RMS error {arrow(rms, 1)} mm over the four feet"
+        figures.append(Figure(name, title, plots, 4, (DEMONSTRATION, *e.keys, STANCE)))
     return figures
 
 
@@ -88,14 +81,9 @@ def paths(e: "RerunEpisodes") -> Figure:
         shares.append(share)
         plots.append(Plot(label, data, layout, f"lifted {arrow(share, 0)} %"))
     least = [float(np.nanmin(s)) if np.isfinite(s).any() else float("nan") for s in np.array(shares).T]
-    return Figure(
-        "paths",
-        f"Feet from the side: every foot is lifted at least {arrow(least, 0)} % as high as in the demonstration",
-        plots,
-        4,
-        (DEMONSTRATION, *e.keys),
-        told={"course": "From the first posture to the last" if e.done_once else "One loop a cycle"},
-    )
+    title = f"Feet from the side: every foot is lifted at least {arrow(least, 0)} % as high as in the demonstration"
+    told = {"course": "From the first posture to the last" if e.done_once else "One loop a cycle"}
+    return Figure("paths", title, plots, 4, (DEMONSTRATION, *e.keys), told=told)
 
 
 def gait(e: "RerunEpisodes") -> Figure:
@@ -115,20 +103,15 @@ def gait(e: "RerunEpisodes") -> Figure:
         loaded = log.observation["foot_force"][0, :, :, 2] > threshold
         data = []
         for source, row, word in zip((log.wanted[0], log.stance[0], loaded), rows, words, strict=True):
-            base, length, names = [], [], []
-            for leg, label in enumerate(LEGS):
-                for a, b in stretches(source[:alive, leg]):
-                    base.append(a / log.rate_hz)
-                    length.append((b - a) / log.rate_hz)
-                    names.append(f"{label} {word}")
+            found = [(leg, *span) for leg in range(4) for span in stretches(source[:alive, leg])]
             data.append(
                 {
                     "type": "bar",
                     "orientation": "h",
                     "name": row.label,
-                    "y": names,
-                    "base": numbers(base),
-                    "x": numbers(length),
+                    "y": [f"{LEGS[leg]} {word}" for leg, *_ in found],
+                    "base": numbers([a / log.rate_hz for _, a, _ in found]),
+                    "x": numbers([(b - a) / log.rate_hz for _, a, b in found]),
                     "width": 0.72,
                     "marker": draw.bar_marker(row, fgopacity=0.6, size=6, solidity=0.2),
                     "hovertemplate": "%{y}: from %{base:.3f} s for %{x:.3f} s<extra></extra>",
@@ -140,14 +123,9 @@ def gait(e: "RerunEpisodes") -> Figure:
         layout["yaxis"] |= {**draw.rows_axis([f"{leg} {word}" for leg in LEGS for word in words]), "showgrid": False}
         shares.append(100 * float(np.mean(log.stance[0, :alive] == log.wanted[0, :alive])) if alive else 0.0)
         plots.append(Plot("" if key is ONLY else _short(key), data, layout))
-    return Figure(
-        "gait",
-        f"Gait: the legs are in the state that the motion wants {arrow(shares, 1)} % of the time",
-        plots,
-        len(plots),
-        rows,
-        told={"share": 100 * e.config.gait.release_threshold, "force": threshold},
-    )
+    title = f"Gait: the legs are in the state that the motion wants {arrow(shares, 1)} % of the time"
+    told = {"share": 100 * e.config.gait.release_threshold, "force": threshold}
+    return Figure("gait", title, plots, len(plots), rows, told=told)
 
 
 def reward(e: "RerunEpisodes") -> Figure:
@@ -177,13 +155,7 @@ def reward(e: "RerunEpisodes") -> Figure:
     ]
     lowest_term = int(np.argmin(e.series[-1][0].terms[0] * weights - weights))
     seen = ", ".join(falls) or f"most is left to gain in the {list(REWARD_TERMS.values())[lowest_term].label} term"
-    return Figure(
-        "reward",
-        f"Reward over time: {seen}",
-        plots,
-        3,
-        e.keys,
-    )
+    return Figure("reward", f"Reward over time: {seen}", plots, 3, e.keys)
 
 
 def _short(key: Key) -> str:
@@ -199,12 +171,10 @@ def limits(e: "RerunEpisodes") -> list[Figure]:
         torque[alive:] = speed[alive:] = np.nan
         torques.append((torque, key))
         speeds.append((speed, key))
+    place, robot = (e.whole_episode, e.segment_lines), e.robot
     return [
-        against_limit(*told, e.times, found, limit, e.whole_episode, e.segment_lines)
-        for told, found, limit in (
-            (("torque", "Motor torque", "N·m"), torques, e.robot.torque_limit),
-            (("speed", "Joint speed", "rad/s"), speeds, e.robot.joint_speed_limit),
-        )
+        against_limit("torque", "Motor torque", "N·m", e.times, torques, robot.torque_limit, *place),
+        against_limit("speed", "Joint speed", "rad/s", e.times, speeds, robot.joint_speed_limit, *place),
     ]
 
 
@@ -240,14 +210,8 @@ def against_limit(
         )
         plots.append(plot)
     beyond = ", beyond it" if max(used) > 1.0 else ""
-    return Figure(
-        name,
-        f"{title}: at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}",
-        plots,
-        3,
-        (*(key for _, key in found), LIMIT),
-        about,
-    )
+    title += f": at most {arrow([100 * u for u in used], 0)} % of the limit{beyond}"
+    return Figure(name, title, plots, 3, (*(key for _, key in found), LIMIT), about)
 
 
 def friction(e: "RerunEpisodes") -> Figure:
@@ -281,23 +245,17 @@ def friction(e: "RerunEpisodes") -> Figure:
         )
         plots.append(plot)
     worst = [draw.greatest(np.array(column)) for column in zip(*top, strict=True)]
-    return Figure(
-        "friction",
-        f"Friction use: {arrow(worst, 2)} at most for 95 % of the time on any foot; the ground has μ {ground:g}",
-        plots,
-        4,
-        (*e.keys, mu, real),
-        told={"share": 100 * LOADED, "force": loaded},
-    )
+    title = f"Friction use: {arrow(worst, 2)} at most for 95 % of the time on any foot; the ground has μ {ground:g}"
+    return Figure("friction", title, plots, 4, (*e.keys, mu, real), told={"share": 100 * LOADED, "force": loaded})
 
 
-def solve_times(e: "RerunEpisodes") -> Figure | None:
-    """Duration of planning ahead; None without any."""
+def solve_times(e: "RerunEpisodes") -> list[Figure]:
+    """Duration of planning ahead; none without any."""
     data, legend, medians, worst = [], [], [], []
     for _, log, key in e.series:
         at = np.flatnonzero(log.solve_time[0] > 0)
         if not len(at):
-            return None
+            return []
         ms = 1e3 * log.solve_time[0, at]
         symbol, size = ("circle-open", 7.5) if key is BEFORE else ("diamond", 5.0)
         legend.append(replace(key, symbol=symbol))
@@ -306,14 +264,9 @@ def solve_times(e: "RerunEpisodes") -> Figure | None:
         worst.append(float(np.percentile(ms, 99)))
     layout = draw.layout_of("time (s)", "solve time (ms)", 260, e.whole_episode)
     layout["yaxis"]["type"] = "log"
-    return Figure(
-        "solve-times",
-        f"Planning ahead takes {arrow(medians, 2)} ms in the median, 99 % stay below {arrow(worst, 2)} ms",
-        [Plot("", data, layout)],
-        1,
-        legend,
-        told={"rate": e.config.horizon.solve_rate_hz},
-    )
+    title = f"Planning ahead takes {arrow(medians, 2)} ms in the median, 99 % stay below {arrow(worst, 2)} ms"
+    told = {"rate": e.config.horizon.solve_rate_hz}
+    return [Figure("solve-times", title, [Plot("", data, layout)], 1, legend, told=told)]
 
 
 def motor_torque(log: Log, limit: Array) -> Array:

@@ -4,11 +4,12 @@ lines and axes. Colours are names in the style sheet."""
 import base64
 import gzip
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +28,7 @@ from fastmimic.base.text import NONE, plain
 from fastmimic.imitation.methods import METHODS
 
 _HINTS: Final = packaged("fastmimic.report", "hints.json", dict[str, str])
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Figure:
         return _HINTS[self.about or self.name].format(**self.told)
 
 
+Sections = Mapping[str, Sequence[Figure]]
+"""The figures of a page by section."""
 BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")
 ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
@@ -123,14 +127,9 @@ def bar_marker(key: Key, **pattern: Any) -> dict[str, Any]:
 
 
 def layout_of(
-    x: str,
-    y: str,
-    height: int,
-    xrange: tuple[float, float] | None = None,
-    yrange: tuple[float, float] | None = None,
-    **more: Any,
+    x: str, y: str, height: int, xrange: Interval | None = None, yrange: Interval | None = None, **more: Any
 ) -> dict[str, Any]:
-    def axis(title: str, shown: tuple[float, float] | None) -> dict[str, Any]:
+    def axis(title: str, shown: Interval | None) -> dict[str, Any]:
         return {"title": {"text": title}} | ({} if shown is None else {"range": numbers(shown)})
 
     return {"height": height, "xaxis": axis(x, xrange), "yaxis": axis(y, yrange), **more}
@@ -141,8 +140,8 @@ def time_plot(
     y: str,
     time: Array,
     found: Sequence[tuple[Array, Key]],
-    span: tuple[float, float],
-    yrange: tuple[float, float] | None = None,
+    span: Interval,
+    yrange: Interval | None = None,
     *,
     height: int = 230,
     shapes: Sequence[dict[str, Any]] = (),
@@ -175,14 +174,8 @@ def _upright(kind: str, start: float, end: float, style: dict[str, Any]) -> dict
 
 def rows_axis(names: Sequence[str]) -> dict[str, Any]:
     """An axis of words, the first on top."""
-    return {
-        "type": "category",
-        "categoryorder": "array",
-        "categoryarray": list(names),
-        "range": [len(names) - 0.4, -0.6],
-        "tickmode": "linear",
-        "dtick": 1,
-    }
+    order = {"type": "category", "categoryorder": "array", "categoryarray": list(names)}
+    return {**order, "range": [len(names) - 0.4, -0.6], "tickmode": "linear", "dtick": 1}
 
 
 def numbers(values: Any, digits: int = 5) -> list[float]:
@@ -212,17 +205,17 @@ class HtmlReport:
 
 
 def render(
-    template: str, figures: Iterable[Figure], *, title: str, missing: Sequence[str], replay: str = "", **data: Any
+    template: str, sections: Sections, *, title: str, missing: Sequence[str], replay: str = "", **data: Any
 ) -> HtmlReport:
-    """Fills a page: a file of `templates/` with all its `figures`, a sentence for each thing that is `missing`, an HTML
-    page to be opened inside (`replay`, empty for none), and `data` for the template. Raises `ConfigError` if there are
-    figures and Plotly is not installed, `OutputError` if a file that the page shows cannot be read."""
+    """Fills a page: a file of `templates/` with the figures of its `sections`, a sentence for each thing that is
+    `missing`, an HTML page to be opened inside (`replay`, empty for none), and `data` for the template. Raises
+    `ConfigError` for figures without Plotly, `OutputError` if a file that the page shows cannot be read."""
     plots = {
         f"{figure.name}-{i}": {"data": plot.data, "layout": plot.layout}
-        for figure in figures
+        for figure in chain.from_iterable(sections.values())
         for i, plot in enumerate(figure.plots, start=1)
     }
-    shared = {"title": title, "missing": tuple(missing), "plots": plots, "replay": replay}
+    shared = {"title": title, "missing": tuple(missing), "sections": sections, "plots": plots, "replay": replay}
     try:
         return HtmlReport(_environment().get_template(template).render(**shared, **data), tuple(missing))
     except jinja2.UndefinedError as error:

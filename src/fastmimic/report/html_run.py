@@ -1,7 +1,6 @@
 """The page of a run: its files, its two nominal episodes, simulated again, and what `run.html` shows of them.
 
-Episodes are not stored, since they follow exactly from `motion.npz` and `config.json`; the rewards in `metrics.json`
-check this.
+Episodes are not stored: they follow exactly from `motion.npz` and `config.json`, which `metrics.json` checks.
 """
 
 import json
@@ -127,14 +126,13 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
     if replay is not None and episodes is not None:
         with draw.leaving_out("the replay in 3D", missing):
             played = replay(episodes)
-    sections, controller = _sections(m, search, episodes), config.get("controller")
-    source, licence = config.get("source"), config.get("licence")
+    controller, source, licence = (config.get(name) for name in ("controller", "source", "licence"))
     about = {"motion": m["motion"], "robot": m["robot"]}
     if isinstance(source, dict):
         about |= {k: v for k, v in source.items() if isinstance(v, str | int | float)}
     return render(
         "run.html",
-        [figure for found in sections.values() for figure in found],
+        _sections(m, search, episodes),
         title=f"{m['motion']} on {m['robot']}",
         missing=missing,
         replay=played,
@@ -142,7 +140,6 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
         e=episodes,
         shown=_Metrics(m),
         video=video,
-        sections=sections,
         arguments=draw.said_arguments(config.get("arguments", {})),
         about=about | ({"licence": licence} if licence else {}),
         controller=json.dumps(controller, indent=2, ensure_ascii=False) if controller else "",
@@ -162,8 +159,7 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> R
         raise ConfigError(f"{path / MOTION} is missing")
     with naming(path / CONFIG, ConfigError):
         controller = ControllerConfig.from_dict(config.get("controller"))
-    arguments = config.get("arguments", {})
-    robot = load_robot(arguments.get("robot") or metrics["robot"])
+    robot = load_robot(config.get("arguments", {}).get("robot") or metrics["robot"])
     motion = Motion.load(path / MOTION)
     seconds = float(metrics["duration_s"])
     before = run_episodes(robot, motion.target, duration_s=seconds, config=controller, log=True)
@@ -230,12 +226,11 @@ def _sections(m: Mapping[str, Any], search: Checkpoint | None, e: RerunEpisodes 
     sections: dict[str, list[Figure]] = {"optimisation": optimisation}
     if e is None:
         return sections | {"tracking": [], "terms": [], "limits": [], "times": []}
-    solved = html_episodes.solve_times(e)
     return sections | {
         "tracking": [*html_episodes.feet(e), html_episodes.paths(e), html_episodes.gait(e)],
         "terms": [html_episodes.reward(e)],
         "limits": [*html_episodes.limits(e), html_episodes.friction(e)],
-        "times": [] if solved is None else [solved],
+        "times": html_episodes.solve_times(e),
     }
 
 
@@ -273,16 +268,8 @@ def convergence(search: Checkpoint, before: float, after: float, *, unchanged: b
     title = f"The reward {verb}: {before:.3f} before, {after:.3f} after {effort}"
     if unchanged:
         title = f"{effort.capitalize()} found nothing better than the motion as fitted (reward {after:.3f})"
-    return Figure(
-        "convergence",
-        title,
-        [
-            Plot("Score", data, reward),
-            Plot("Spread of the candidates", [draw.line(x, spread, leader, mode=mode)], step),
-        ],
-        2,
-        (leader, average, band, start),
-    )
+    spreads = Plot("Spread of the candidates", [draw.line(x, spread, leader, mode=mode)], step)
+    return Figure("convergence", title, [Plot("Score", data, reward), spreads], 2, (leader, average, band, start))
 
 
 def as_fitted(found: Sequence[Mapping[str, Any]]) -> bool:
@@ -332,10 +319,5 @@ def parameters(found: Sequence[dict[str, Any]]) -> Figure:
     ending = "none at a bound" if not at else f"{at} at a bound, where the search would have gone further"
     if as_fitted(found):
         ending = "all as they were fitted"
-    return Figure(
-        "parameters",
-        f"What the optimiser chose: {len(found)} parameters, {ending}",
-        plots,
-        2,
-        (_FITTED, _FOUND, Key("bounds", "var(--grid)", pattern="")),
-    )
+    title = f"What the optimiser chose: {len(found)} parameters, {ending}"
+    return Figure("parameters", title, plots, 2, (_FITTED, _FOUND, Key("bounds", "var(--grid)", pattern="")))

@@ -66,8 +66,7 @@ class MotionSource:
         from fastmimic.episode.loop import share_of_falls  # loads the compiler
         from fastmimic.retargeting.retarget import retarget
 
-        clip = self.open_clip(robot, **overrides)
-        return retarget(clip, robot, executable=executable, falls=share_of_falls)
+        return retarget(self.open_clip(robot, **overrides), robot, executable=executable, falls=share_of_falls)
 
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""
@@ -84,8 +83,7 @@ class MotionSource:
 
 def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
     """Finds out the kind of a source, and reads it if it is a robot motion. A name precedes a file or a folder of the
-    same name (use ./NAME). Raises `MotionError` if there is no such source, a folder holds no motion, or a robot motion
-    cannot be read."""
+    same name (use ./NAME). Raises `MotionError` for no such source, a folder without a motion, or an unreadable one."""
     if isinstance(source, Motion):
         return MotionSource(source.name, motion=source)
     if isinstance(source, Clip):

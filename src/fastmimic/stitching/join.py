@@ -63,8 +63,7 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
     arrays = _samples(parts, layout, track)
     transitions = []
     for i in range(1, len(motions)):
-        both = own[i - 1], own[i]
-        transition = make_transition(robot, layout, i, track, raw_w, contact, both, rate, config)
+        transition = make_transition(robot, layout, i, track, raw_w, contact, (own[i - 1], own[i]), rate, config)
         transitions.append(transition)
         for name, values in transition.arrays.items():
             arrays[name][transition.span.start : transition.span.end] = values
@@ -152,23 +151,19 @@ def _check_room(layout: Layout) -> None:
 
 def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict[str, Any]:
     """Arrays of the whole: each sample from its segment's part, the root from the track."""
-    n = layout.n
+    of_body, of_world = ("joint_pos", "joint_vel", "foot_pos_b"), ("root_lin_vel_w", "root_ang_vel_w")
     out: dict[str, Any] = {
-        "root_pos_w": np.column_stack([track.root_xy, track.root_z]),
-        "root_quat_wxyz": quat_continuous(trunk_quaternion(track.heading, track.tilt)),
-        "joint_pos": np.empty((n, 12)),
-        "joint_vel": np.empty((n, 12)),
-        "foot_pos_b": np.empty((n, 4, 3)),
-        "root_lin_vel_w": np.empty((n, 3)),
-        "root_ang_vel_w": np.empty((n, 3)),
+        name: np.empty((layout.n, *getattr(parts[0], name).shape[1:])) for name in (*of_body, *of_world)
     }
+    out["root_pos_w"] = np.column_stack([track.root_xy, track.root_z])
+    out["root_quat_wxyz"] = quat_continuous(trunk_quaternion(track.heading, track.tilt))
     for segment in layout.segments:
         motion, t = parts[segment.part], np.arange(segment.first, segment.last)
         local = (t - segment.shift) % motion.n_samples
-        for name in ("joint_pos", "joint_vel", "foot_pos_b"):
+        for name in of_body:
             out[name][t] = getattr(motion, name)[local]
         turn = track.heading[t] - yaw_from_quat(motion.root_quat_wxyz)[local]
-        for name in ("root_lin_vel_w", "root_ang_vel_w"):
+        for name in of_world:
             out[name][t] = turned_about_z(getattr(motion, name)[local], turn)
     return out
 

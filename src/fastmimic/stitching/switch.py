@@ -242,16 +242,9 @@ def _strangeness(
     a: Cycle, b: Cycle, out: int, into: int, feet: list[Span], allowed: set[int], stride: float, step: int
 ) -> float:
     when = np.arange(-round(1.5 * stride), round(1.5 * stride), step)
-    contact = np.stack(
-        [
-            np.where(
-                when < span.start,
-                a.contact[(out + when) % a.n, leg],
-                np.where(when < span.end, span.stands, b.contact[(into + when) % b.n, leg]),
-            )
-            for leg, span in enumerate(feet)
-        ],
-        axis=-1,
-    )
+    contact = np.empty((len(when), 4), np.bool_)
+    for leg, span in enumerate(feet):
+        later = np.where(when < span.end, span.stands, b.contact[(into + when) % b.n, leg])
+        contact[:, leg] = np.where(when < span.start, a.contact[(out + when) % a.n, leg], later)
     strange = ~np.isin(contact @ (1 << np.arange(4)), list(allowed))
     return float(np.sum(strange * _STRANGE_SUPPORT[contact.sum(axis=1)]) * step / stride)

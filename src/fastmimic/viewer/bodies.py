@@ -41,7 +41,7 @@ class Puppet:
     """A robot and its ghost in any pose; `bodies` and `ghost_bodies` are in the order of `Placed`."""
 
     def __init__(self, robot: Robot) -> None:
-        video_scene = build_video_scene(robot, ghost=True, width=64, height=64, floor=np.zeros((2, 2)))
+        video_scene = build_video_scene(robot, ghost=True, size=(64, 64), floor=np.zeros((2, 2)))
         assert video_scene.ghost_qpos is not None
         self._model, self._data = video_scene.model, mujoco.MjData(video_scene.model)
         self._qpos = (video_scene.robot_qpos, video_scene.ghost_qpos)

@@ -109,11 +109,8 @@ class ViewerPanel(Panel):
         def step_frames() -> None:
             go_to(player.row + _FRAMES[str(frames.value)] * max(1, round(_STEP_S * player.rate_hz)))
 
-        def set_speed() -> None:
-            player.speed = _SPEEDS[str(speed.value)]
-
-        def set_repeat() -> None:
-            player.repeat = _REPEATS[str(repeat.value)]
+        def set_course() -> None:
+            player.speed, player.repeat = _SPEEDS[str(speed.value)], _REPEATS[str(repeat.value)]
 
         @self._time.on_update
         def _(event: Any) -> None:
@@ -123,8 +120,8 @@ class ViewerPanel(Panel):
         self._play.on_click(lambda _event: self._change(player.toggle))
         cycles.on_click(lambda _event: self._change(lambda: player.step_cycle(_CYCLES[str(cycles.value)])))
         frames.on_click(lambda _event: self._change(step_frames))
-        speed.on_update(lambda _event: self._change(set_speed))
-        repeat.on_update(lambda _event: self._change(set_repeat))
+        for choice in (speed, repeat):
+            choice.on_update(lambda _event: self._change(set_course))
         self._follow.on_update(lambda _event: self._change())
 
     def _change(self, act: Callable[[], None] | None = None) -> None:

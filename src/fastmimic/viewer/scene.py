@@ -44,10 +44,7 @@ def animal_aside(robot: Robot) -> float:
 
 
 def line_up(
-    server: "viser.ViserServer",
-    takes: Sequence[Take],
-    animal: Animal | None = None,
-    names: Sequence[str] | None = None,
+    server: "viser.ViserServer", takes: Sequence[Take], animal: Animal | None = None, names: Sequence[str] | None = None
 ) -> "list[RobotScene]":
     """Robots side by side, seen from the front the first on the left, the animal beside it. `takes` are each one's
     first, of the same robot; `names` those of their frames in the scene tree."""
@@ -177,18 +174,12 @@ class RobotScene:
     ) -> list[tuple["viser.FrameHandle", list["viser.MeshHandle"]]]:
         """A frame with meshes for each body; translucent ones have no shadow."""
         scene, found = self._server.scene, []
+        look: dict[str, Any] = {"opacity": opacity, "cast_shadow": opacity is None, "receive_shadow": False}
         for body in bodies:
-            frame = scene.add_frame(f"{name}/{body.name}", show_axes=False)
+            path = f"{name}/{body.name}"
+            frame = scene.add_frame(path, show_axes=False)
             meshes = [
-                scene.add_mesh_simple(
-                    f"{name}/{body.name}/{k}",
-                    mesh.vertices,
-                    mesh.faces,
-                    color=rgb,
-                    opacity=opacity,
-                    cast_shadow=opacity is None,
-                    receive_shadow=False,
-                )
+                scene.add_mesh_simple(f"{path}/{k}", mesh.vertices, mesh.faces, color=rgb, **look)
                 for k, (mesh, rgb) in enumerate(body.parts)
             ]
             found.append((frame, meshes))

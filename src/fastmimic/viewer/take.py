@@ -154,8 +154,7 @@ def cycle_rows(demonstration: Motion, samples: NDArray[np.int64]) -> NDArray[np.
 def held(pose: Array) -> Array:
     """Poses (t, 19) in which a row that is not finite, as after a fall, repeats the last finite one."""
     finite = np.isfinite(pose).all(axis=1)
-    last = np.maximum.accumulate(np.where(finite, np.arange(len(pose)), 0))
-    return pose[last]
+    return pose[np.maximum.accumulate(np.where(finite, np.arange(len(pose)), 0))]
 
 
 def contact_meshes(size: float) -> "dict[str, Trimesh]":
