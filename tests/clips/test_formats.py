@@ -86,8 +86,9 @@ def test_missing_file_and_folder(tmp_path: Path):
 def test_first_line_with_a_lost_column_is_reported_as_such(file):
     lines = keypoint_text().splitlines()
     lines[0] = lines[0].rsplit(",", 1)[0]
-    with pytest.raises(ClipError, match=r"motion\.dat: line 1 has 80 columns; expected 81"):
-        read_clip(file("\n".join(lines)))
+    assert any(
+        "line 1 has 80 columns; expected 81" in said for said in read_clip(file("\n".join(lines))).meta["assumed"]
+    )
 
 
 def test_provenance(file):

@@ -73,17 +73,25 @@ def test_line_endings_of_other_systems_are_read(ending: str):
     assert keypoints.parse(keypoint_text().replace("\n", ending)).n_frames == 12
 
 
+def unread(text: str) -> str:
+    """What is said of the first line of a clip that cannot be read."""
+    (found,) = (said for said in keypoints.parse(text).meta["assumed"] if "cannot be read" in said)
+    return str(found)
+
+
 def test_wrong_number_of_columns_names_the_line():
     lines = keypoint_text().splitlines()
     lines[4] = lines[4].rsplit(",", 1)[0]
-    with pytest.raises(ClipError, match=r"line 5 has 80 columns; expected 81 \(dog keypoints\)$"):
+    assert "(the first: line 5 has 80 columns; expected 81 (dog keypoints))" in unread("\n".join(lines))
+    lines[:] = [line.rsplit(",", 1)[0] for line in lines]
+    with pytest.raises(ClipError, match=r"line 1 has 80 columns; expected 81 \(dog keypoints\)$"):
         keypoints.parse("\n".join(lines))
 
 
 def test_a_file_cut_off_in_its_last_line_is_called_truncated():
     text = keypoint_text()
-    with pytest.raises(ClipError, match=r"line 12 has \d+ columns; expected 81 .* truncated"):
-        keypoints.parse(text[: len(text) - 100])
+    assert "the file may be truncated" in unread(text[: len(text) - 100])
+    assert keypoints.parse(text[: len(text) - 100]).n_frames == 11
 
 
 def test_a_minute_that_was_not_tracked_leaves_the_others(data_folder: Path) -> None:
@@ -104,7 +112,7 @@ def test_a_minute_that_was_not_tracked_leaves_the_others(data_folder: Path) -> N
     ("written", "problem"),
     [
         ("-inf", "-inf is not finite"),
-        ("1e9", r"1e\+09 is too large"),
+        ("1e9", "1e+09 is too large"),
         ("abc", "'abc' is not a number"),
     ],
 )
@@ -113,14 +121,12 @@ def test_a_bad_value_names_line_column_and_point(written: str, problem: str):
     fields = lines[2].split(",")
     fields[31] = written  # 0-based 31 = point 10 (left front toe), y
     lines[2] = ",".join(fields)
-    with pytest.raises(ClipError, match=rf"line 3, column 32 \(point 10 y\): {problem}"):
-        keypoints.parse("\n".join(lines))
+    assert f"(the first: line 3, column 32 (point 10 y): {problem})" in unread("\n".join(lines))
 
 
 def test_line_numbers_count_blank_and_comment_lines():
     text = "# a dog\n\n" + keypoint_text().replace("0.37000", "1e9", 1)
-    with pytest.raises(ClipError, match="line 3, column 2"):
-        keypoints.parse(text)
+    assert "line 3, column 2" in unread(text)
 
 
 def test_a_single_frame_is_no_clip():

@@ -9,9 +9,10 @@ import pytest
 from fastmimic.base.errors import ClipError
 from fastmimic.cli import main
 from fastmimic.clips.catalogue import open_clip, open_parts
-from fastmimic.clips.clip import POINT_NAMES
+from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, read_clip
 from fastmimic.clips.formats.gaps import mend, outliers
+from fastmimic.clips.formats.points import swapped_pairs
 from fastmimic.clips.synthesis import GAITS, generate
 from fastmimic.dataset.excerpts import DatasetSource, survey
 
@@ -52,6 +53,26 @@ def test_no_frame_of_the_recorded_dogs_is_an_outlier(data_folder: Path) -> None:
         clip = read_clip(path)
         for every in (1, 2):
             assert not outliers(clip.points_w[::every], clip.rate_hz / every).any(), path.name
+
+
+@pytest.mark.parametrize("swapped", [["FR_toe"], ["RR_hip"], ["FR_toe", "RR_toe"]])
+def test_a_pair_whose_names_are_swapped_is_swapped_back_and_said(swapped: list[str], tmp_path: Path) -> None:
+    points = walk()
+    for name in swapped:
+        right = POINT_NAMES.index(name)
+        points[:, [right, right + 1]] = points[:, [right + 1, right]]
+    (tmp_path / "points.csv").write_text(table_text(points))
+    clip = read_clip(tmp_path / "points.csv")
+    np.testing.assert_allclose(clip.points_w, walk(), atol=1e-6)
+    said = [sentence for sentence in clip.meta["assumed"] if "swapped" in sentence]
+    assert [sentence.split(" ")[0] for sentence in said] == swapped
+
+
+def test_no_recorded_dog_and_no_gait_has_a_swapped_pair(data_folder: Path) -> None:
+    for path in sorted((data_folder / "dog_keypoints").glob("dog_*.txt")):
+        assert not swapped_pairs(read_clip(path).points_w), path.name
+    for name in GAITS:
+        assert not swapped_pairs(generate(name).points_w), name
 
 
 def test_a_short_gap_is_filled_close_to_the_path_and_said(tmp_path: Path) -> None:
@@ -158,18 +179,26 @@ def test_a_point_that_is_never_there_is_named() -> None:
         mend(points, RATE)
 
 
-def test_a_word_is_no_gap_and_neither_is_a_frame_without_time(tmp_path: Path) -> None:
-    path = tmp_path / "points.csv"
-    lines = table_text(walk(1)).splitlines()
-    times = [*lines[:4], "," + lines[4].split(",", 1)[1], *lines[5:]]
-    path.write_text("\n".join(times))
-    with pytest.raises(ClipError, match=r"line 5, column 1 \(time\): '' is not a number"):
-        read_clip(path)
-    fields = lines[4].split(",")
+def test_lines_that_cannot_be_read_are_missing_frames(tmp_path: Path) -> None:
+    path, points = tmp_path / "points.csv", walk(3)
+    lines = table_text(points).splitlines()
+
+    def opened(changed: dict[int, str]) -> Clip:
+        path.write_text("\n".join(changed.get(k, line) for k, line in enumerate(lines)))
+        return read_clip(path)
+
+    without_time, fields = "," + lines[40].split(",", 1)[1], lines[44].split(",")
     fields[3:6] = ["", "lost", ""]
-    path.write_text("\n".join([*lines[:4], ",".join(fields), *lines[5:]]))
-    with pytest.raises(ClipError, match=r"line 5, column 5 \(neck_x\): 'lost' is not a number"):
-        read_clip(path)
+    clip = opened({40: without_time, 44: ",".join(fields), 50: "the camera stopped", len(lines) - 1: lines[-1][:40]})
+    assert clip.rate_hz == pytest.approx(RATE)
+    np.testing.assert_allclose(clip.points_w, points[:-1], atol=1e-3)
+    said = "4 lines that cannot be read: as missing frames (the first: line 41, column 1 (time): '' is not a number)"
+    assert said in clip.meta["assumed"]
+    assert any("gaps of up to 0.2 s are filled" in sentence for sentence in clip.meta["assumed"])
+    clip = opened(dict.fromkeys(range(101, 141), "1,2"))  # longer than a gap that is filled
+    assert clip.meta["parts"] == [[0, 100], [140, len(points)]]
+    with pytest.raises(ClipError, match=r"line 2, column 2 \(pelvis_x\): 'lost' is not a number"):
+        opened(dict.fromkeys(range(1, len(lines) - 20), "0," + ",".join(["lost"] * (len(fields) - 1))))
 
 
 def test_all_parts_are_opened_with_their_first_frames(split: Path) -> None:

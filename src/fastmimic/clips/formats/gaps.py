@@ -46,7 +46,7 @@ def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mend
     for k in np.flatnonzero(absent.any(axis=0)):
         points[:, k] = _filled(points[:, k], absent[:, k], filled[:, k])
     whole = np.asarray(np.all(filled | ~absent, axis=1))
-    parts = [(a, b) for a, b in stretches(whole) if b - a >= min(SHORTEST_PART_S * rate_hz, len(whole))]
+    parts = [(a, b) for a, b in stretches(whole) if b - a >= min(SHORTEST_PART_S * rate_hz, 0.5 * len(whole))]
     if not parts:
         gaps = _counts(absent & ~filled)
         raise ClipError(f"no {SHORTEST_PART_S:g} s without a gap of more than {LONGEST_S:g} s: {gaps}")
@@ -126,7 +126,7 @@ def _short(absent: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
     short = np.zeros_like(absent)
     for k, column in enumerate(absent.T):
         for first, end in stretches(column):
-            short[first:end, k] = first > 0 and end < len(column) and end - first <= LONGEST_S * rate_hz
+            short[first:end, k] = first > 0 and end < len(column) and end - first <= LONGEST_S * rate_hz + 0.5
     return short
 
 

@@ -31,11 +31,11 @@ def parse(text: str, *, fps: float | None = None, up: str | None = None, frames:
     """Reads the text of a keypoint file; `fps` is 60 if None, and `up` the axis along which the hips are above the
     toes. Raises `ClipError`: malformed (says which line and column), or not an upright, right-handed animal."""
     rows = read_table(text).rows
-    gaps = range(COLUMNS)
-    values = to_array(rows, COLUMNS, lambda c: f"point {c // 3} {'xyz'[c % 3]}", "dog keypoints", gaps=gaps)
-    notes = () if fps is not None else (f"{DEFAULT_RATE_HZ:g} frames a second: the file does not say",)
+    notes = [] if fps is not None else [f"{DEFAULT_RATE_HZ:g} frames a second: the file does not say"]
+    titles = [f"point {k} {axis}" for k in range(DOG.points) for axis in "xyz"]
+    values = to_array(rows, COLUMNS, titles.__getitem__, "dog keypoints", gaps=range(COLUMNS), unread=notes)
     names = [str(i) for i in range(DOG.points)]
-    tracks = Tracks(names, values.reshape(-1, DOG.points, 3), DEFAULT_RATE_HZ, notes=notes, skeleton=DOG)
+    tracks = Tracks(names, values.reshape(-1, DOG.points, 3), DEFAULT_RATE_HZ, notes=tuple(notes), skeleton=DOG)
     return tracks.clip(fps=fps, up=up, frames=frames, point_map={name: names[i] for name, i in DOG_KEYPOINTS.items()})
 
 
@@ -46,10 +46,12 @@ def read_named(text: str) -> Tracks:
     header = [name.strip().strip('"') for name in table.header]
     points = _named_points(header)
     gaps = {column for columns in points.values() for column in columns}
-    values = to_array(table.rows, len(header), lambda column: header[column], "keypoints by name", gaps=gaps)
+    unread: list[str] = []
+    values = to_array(table.rows, len(header), header.__getitem__, "keypoints by name", gaps=gaps, unread=unread)
     time = next((column for column, name in enumerate(header) if name.lower() in _TIMES), None)
     positions = np.stack([values[:, columns] for columns in points.values()], axis=1)
-    return Tracks(list(points), positions, times=None if time is None else (header[time], values[:, time]))
+    times = None if time is None else (header[time], values[:, time])
+    return Tracks(list(points), positions, times=times, notes=tuple(unread))
 
 
 def names_points(content: Content) -> bool:

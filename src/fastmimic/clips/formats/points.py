@@ -33,6 +33,7 @@ UP_AXES: Final = (*_TO_Z_UP, *(f"-{axis}" for axis in _TO_Z_UP))
 _MIN_UPRIGHT: Final = 0.5  # least vertical share of the mean toe → hip vector; 0.95 in takes in which the dog also sits
 _UNITS: Final = ((3000.0, 0.0, "pixels"), (160.0, 1e-3, "millimetres"), (3.0, 1e-2, "centimetres"))
 """Units other than metres, with the least distance from toes to hips in the file's numbers (a horse's is 1.2 m)."""
+_CROSSED: Final = 0.5  # share of the pairs' width; legs that cross under the body are narrow, not crossed on average
 _STEP_S: Final = 0.4  # within which a toe that walks stands for a moment
 _FLAT: Final = 0.3  # largest thickness of the ground as a share of its width, for a plane to be fitted
 _LEAST_TILT_RAD: Final = np.radians(3.0)
@@ -165,12 +166,25 @@ def _check_upright(points: Array, up: str) -> None:
 
 def check_right_handed(points: Array) -> None:
     """Raises `ClipError` for a mirrored file, which would swap left and right turns."""
-    forward = points[:, 1] - points[:, 0]
-    left = np.cross([0.0, 0.0, 1.0], forward)
-    width = points[:, [3, 5]].sum(axis=1) - points[:, [2, 4]].sum(axis=1)
-    if np.mean(np.sum(left * width, axis=-1)) < 0:
+    if _widths(points)[:2].sum() < 0:
         said = "the left hips lie on the right of the spine: the coordinates are left-handed or the points swapped"
         raise ClipError(f"{said}; expected right-handed x, y, z")
+
+
+def _widths(points: Array) -> Array:
+    """How far the left point of each pair lies to the left of the right one on average, (4,) m: the order of
+    `POINT_NAMES`, z up."""
+    left = np.cross([0.0, 0.0, 1.0], points[:, 1] - points[:, 0])
+    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    return np.asarray(np.einsum("ta,tpa->p", left, points[:, 3::2] - points[:, 2::2]) / len(points))
+
+
+def swapped_pairs(points: Array) -> list[int]:
+    """Indices of the right points of the pairs whose sides are swapped, of ten points (t, 10, 3), z up: the left one
+    lies on the right, against at least two pairs, by much of their width."""
+    widths = _widths(points)
+    usual = np.sort(widths)[-2]
+    return [2 + 2 * int(pair) for pair in np.flatnonzero(widths < -_CROSSED * usual)] if usual > 0 else []
 
 
 def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
@@ -273,8 +287,13 @@ class Tracks:
         seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
         axes = find_axes(seen, rate_hz, up, self.unit_m, self.is_level)
         seen = axes.to_world(seen)
-        check_right_handed(seen if all(known) else with_hips(seen)[0])
         notes = [*self.notes, *assumed, *mended.notes, *axes.notes]
+        for right in swapped_pairs(seen) if all(known) else []:
+            for each in (seen, mended.points):
+                each[:, [right, right + 1]] = each[:, [right + 1, right]]
+            pair = " and ".join(POINT_NAMES[right : right + 2])
+            notes.append(f"{pair} are swapped in the file: the left one lies on the right; taken the other way round")
+        check_right_handed(seen if all(known) else with_hips(seen)[0])
         n = len(self.positions)
         (first, end), left_out = part_for(mended.parts, frames, n)
         points, legs = axes.to_world(mended.points)[first:end], None

@@ -31,7 +31,7 @@ _ROTATION: Final = [f"M_{i}{j}" for i in range(3) for j in range(3)]
 ANIPOSE: Final = {"fnum", *_ROTATION}  # among its columns
 
 
-def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = False) -> Tracks:
+def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = False, notes: Sequence[str] = ()) -> Tracks:
     """The points in a table (t, columns); raises `ClipError` if they lie in a picture."""
     names = list(dict.fromkeys(name for _, name, coordinate in columns if coordinate == "z"))
     if not names:
@@ -42,10 +42,10 @@ def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = Fals
     read = ("x", "y", "z", "likelihood")
     at = [[[place.get((who, name, what), -1) for what in read] for name in names] for who in individuals]
     found = np.moveaxis(padded[:, np.array(at)], 0, 1)  # (individuals, t, points, 4)
-    best, notes = most_complete(individuals, found[..., :3])
+    best, several = most_complete(individuals, found[..., :3])
     likelihood = found[best, ..., 3]
     confidence = None if np.isnan(likelihood).all() else likelihood
-    return Tracks(names, found[best, ..., :3], confidence=confidence, is_level=is_level, notes=notes)
+    return Tracks(names, found[best, ..., :3], confidence=confidence, is_level=is_level, notes=(*notes, *several))
 
 
 def read_deeplabcut(text: str) -> Tracks:
@@ -58,8 +58,9 @@ def read_deeplabcut(text: str) -> Tracks:
         raise ClipError(f"its first {end} lines, which name the columns, have different numbers of columns")
     columns = list(zip(individuals, labels["bodyparts"], labels["coords"], strict=True))
     shown = ["frame", *(" ".join(column).strip() for column in columns)]
-    gaps = range(1, len(shown))
-    return tracks_of(columns, to_array(rows[end:], len(shown), shown.__getitem__, "DeepLabCut", gaps=gaps)[:, 1:])
+    gaps, unread = range(1, len(shown)), list[str]()
+    values = to_array(rows[end:], len(shown), shown.__getitem__, "DeepLabCut", gaps=gaps, unread=unread)
+    return tracks_of(columns, values[:, 1:], notes=unread)
 
 
 def read_anipose(text: str) -> Tracks:
@@ -69,15 +70,16 @@ def read_anipose(text: str) -> Tracks:
     columns = [("", *name.rpartition("_")[::2]) for name in header]
     gaps = [i for i, (_, name, _) in enumerate(columns) if name not in ("", "M", "center")]
     largest = [np.inf if what == "error" else 1e6 for _, _, what in columns]
-    values = to_array(table.rows, len(header), header.__getitem__, "Anipose", largest, gaps)
-    frame = values[:, header.index("fnum")].astype(int)
+    unread: list[str] = []
+    values = to_array(table.rows, len(header), header.__getitem__, "Anipose", largest, gaps, unread)
+    frame = np.rint(values[:, header.index("fnum")]).astype(int)
     if (np.diff(frame) < 1).any() or frame[-1] - frame[0] >= 2 * len(frame):
         raise ClipError("the frames' numbers (fnum) do not grow, or more than half of the frames are missing")
     every = np.full((frame[-1] - frame[0] + 1, len(header)), np.nan)  # rows that are not there are gaps
     every[frame - frame[0]] = values
     scored = [(who, name, "likelihood" if what == "score" else what) for who, name, what in columns]
     rotation = values[0, [header.index(name) for name in _ROTATION]].reshape(3, 3)
-    return tracks_of(scored, every, is_level=not np.allclose(rotation, np.eye(3)))
+    return tracks_of(scored, every, is_level=not np.allclose(rotation, np.eye(3)), notes=unread)
 
 
 def _rows(table: Table) -> list[Row]:
