@@ -110,6 +110,7 @@ def test_evaluate_steers_by_a_script(
     ("arguments", "said"),
     [
         (["--udp", "9870"], "takes velocities from --commands FILE.csv"),
+        (["--topic", "cmd_vel"], "takes velocities from --commands FILE.csv"),
         ([], "give one of them"),
         (["--commands", "way.csv", "--episodes", "3"], "--episodes is for a motion"),
         (["--commands", "way.csv", "--simulator", "pybullet"], "steered in mujoco only, not in pybullet"),
