@@ -139,7 +139,11 @@ def test_its_report_is_a_page_of_its_own(run: Run, in_folder: Path, planned: tup
 
 
 BAD = {
-    "no such driver": (["trot", "--driver", "spot"], "unknown driver 'spot'; there are go2, a1, sim"),
+    "no such driver": (["trot", "--driver", "spot"], "unknown driver 'spot'; there are go2, a1, b2, a2, sim"),
+    "no model": (
+        ["trot", "--driver", "b2", "--yes"],
+        "driver 'b2' needs the robot's model: give its file",
+    ),
     "no such motion": (["trto", *QUICK], "did you mean 'trot'"),
     "another robot's motion": (["{go1}", *QUICK, "--robot", "a1"], "is for robot 'go1', not for 'a1'"),
     "a motion for another driver": (

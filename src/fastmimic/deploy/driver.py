@@ -22,11 +22,14 @@ _POLL_S: Final = 0.0002
 ENCODER_ERROR: Final = 0.3  # rad; tolerance beyond a joint's range
 
 SIM: Final = "sim"
+_GO2: Final = ("fastmimic.deploy.go2.driver", "Go2Driver", ("interface", "domain"))
 WIRED: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
-    "go2": ("fastmimic.deploy.go2.driver", "Go2Driver", ("interface", "domain")),
+    "go2": _GO2,
     "a1": ("fastmimic.deploy.a1_driver", "A1Driver", ()),
+    "b2": _GO2,
+    "a2": _GO2,
 }
-"""Drivers of the built-in robots: module, class, and names of the driver's own options."""
+"""Drivers by robot: module, class, and names of the driver's own options. A B2 and an A2 have the Go2's messages."""
 DRIVERS: Final = (*WIRED, SIM)
 
 

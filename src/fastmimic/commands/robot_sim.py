@@ -1,0 +1,139 @@
+"""`fastmimic robot-sim` simulates a robot that speaks a real robot's protocol."""
+
+import json
+import math
+import signal
+import threading
+from contextlib import closing, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from tyro.conf import OmitArgPrefixes
+
+from fastmimic.base.errors import ConfigError
+from fastmimic.base.progress import note, slow_start
+from fastmimic.commands import options as opt
+from fastmimic.commands.console import EXIT_CUT_OFF, on_signal, put
+from fastmimic.commands.show import is_whole
+from fastmimic.deploy.dds.cyclone import check_interface
+from fastmimic.deploy.log import ENDING, ground_truth_writer
+from fastmimic.robot import ROBOT_NAMES, load_robot
+from fastmimic.simulation.conditions import parse_disturbance
+from fastmimic.simulation.config import ideal_sensors
+
+SIMULATED: Final = ("go2",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaultOptions:
+    """Faults of the connection and of the robot."""
+
+    loss: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that are lost."""
+    corrupt: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that arrive with a flipped bit."""
+    duplicate: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that arrive twice."""
+    reorder: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the states that arrive after the next one."""
+    latency_ms: Annotated[float, opt.option("MS")] = 0.0
+    """Additional latency of the states."""
+    command_loss: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the commands that are lost."""
+    command_corrupt: Annotated[float, opt.option("SHARE")] = 0.0
+    """Share of the commands that arrive with a flipped bit."""
+    command_latency_ms: Annotated[float, opt.option("MS")] = 0.0
+    """Additional latency of the commands."""
+    dead_after: opt.Seconds = None
+    """Time after which the robot falls silent, as if its computer had died. Default: never."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotSim:
+    """Simulates a Go2 that speaks the real DDS protocol: it runs in MuJoCo in real time, publishes its state and obeys
+    low-level commands. 'fastmimic deploy' and Unitree's own SDK talk to it.
+
+    It is reachable on this computer only, unless another interface is named. Ctrl-C ends it.
+    """
+
+    robot: Annotated[str, opt.option("NAME|FILE")] = "go2"
+    """go2, or your own robot's MJCF file for a body that uses the Go2's messages."""
+    interface: Annotated[str, opt.option("NAME")] = "lo"
+    """Network interface."""
+    domain: Annotated[int, opt.option("N")] = 0
+    """DDS domain."""
+    start: Annotated[str, opt.option("lying|standing")] = "lying"
+    """Initial state: lying with limp motors, or standing under its own motion service, which ignores low-level commands
+    until it is released."""
+    sensors: Annotated[str, opt.option("real|ideal")] = "real"
+    """Sensors with or without noise, bias and latency."""
+    seed: int = 0
+    """Seed of the sensor noise and the faults."""
+    disturb: opt.Disturbances = ()
+    watchdog_ms: Annotated[float, opt.option("MS")] = 20.0
+    """Time without a command after which the motors damp."""
+    duration: opt.Seconds = None
+    """Time until it ends. Default: it runs until Ctrl-C."""
+    log: Annotated[Path | None, opt.option("FILE.mcap")] = None
+    """File for the ground truth of what the robot did."""
+    json: opt.JsonFlag = False
+    fault: Annotated[FaultOptions, OmitArgPrefixes]
+
+    def run(self) -> int:
+        from fastmimic.deploy.sim_server import SimServer
+
+        settings = self._settings()
+        opt.check_duration(self.duration)
+        duration = math.inf if self.duration is None else self.duration
+        writer = None if self.log is None else ground_truth_writer(opt.check_writable(self.log, ENDING))
+        with writer or nullcontext():
+            with slow_start():
+                server = SimServer(load_robot(self.robot), settings, None if writer is None else writer.recorder)
+            stop = threading.Event()
+            with closing(server), on_signal(lambda *_: stop.set(), signal.SIGINT, signal.SIGTERM):
+                note(f"a {self.robot}, {self.start}, in DDS domain {self.domain} on '{self.interface}'; Ctrl-C ends it")
+                server.run(stop, duration, _status)
+        summary = {"robot": self.robot, **server.summary()}
+        if self.json:
+            put(json.dumps(summary, indent=1))
+        else:
+            put(*(f"{name.replace('_', ' ')}: {value}" for name, value in summary.items()))
+        if writer is None:
+            return 0
+        writer.end({})
+        note(f"ground truth in {self.log}")
+        return 0 if is_whole(writer.ends) else EXIT_CUT_OFF
+
+    def _settings(self) -> Any:
+        from fastmimic.deploy.sim import LinkFaults
+        from fastmimic.deploy.sim_server import SimSettings
+
+        check_interface(self.interface)
+        if self.robot.lower() in ROBOT_NAMES and self.robot.lower() not in SIMULATED:
+            raise ConfigError(f"robot-sim does not speak the protocol of a {self.robot}; give {' or '.join(SIMULATED)}")
+        if self.sensors not in ("real", "ideal"):
+            raise ConfigError(f"--sensors takes real or ideal, found '{self.sensors}'")
+        fault = self.fault
+        commands = {name: getattr(fault, f"command_{name}") for name in ("loss", "corrupt")}
+        return opt.apply(
+            SimSettings,
+            self,
+            sensors=ideal_sensors() if self.sensors == "ideal" else None,
+            disturbances=tuple(parse_disturbance(text) for text in opt.joined(self.disturb)),
+            states=opt.apply(LinkFaults, fault, latency_s=fault.latency_ms / 1e3, seed=self.seed),
+            commands=LinkFaults(latency_s=fault.command_latency_ms / 1e3, seed=self.seed, **commands),
+            watchdog_s=self.watchdog_ms / 1e3,
+            dead_after_s=math.inf if fault.dead_after is None else fault.dead_after,
+        )
+
+
+def _status(server: Any) -> None:
+    counts, body = server.counts, server.body
+    height = float(body.observation["root_pos"][0, 2])
+    mode = "motion service" if body.service.active else "damped" if body.damped else "commanded"
+    note(
+        f"{body.time:6.1f} s  {server.realtime_factor:4.0%} of real time  {counts.states_sent} states"
+        f"  {counts.commands_received} commands ({counts.commands_rejected} rejected)  {mode}  base at {height:.3f} m"
+        + ("  fell" if body.fell else "")
+    )
