@@ -1,5 +1,6 @@
 """What a user gets wrong: one clear line, status 2, and nothing written or changed."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -45,7 +46,7 @@ FILES = {
     "binary": (write("binary.txt", bytes(range(256))), "a binary file"),
     "folder": (lambda folder: folder, "a folder without motion.npz"),
     "columns": (write("columns.txt", "1,2,3\n4,5,6\n"), "line 1 has 3 columns"),
-    "not finite": (write("inf.txt", KEYPOINTS.replace("0.37000", "inf", 1)), "line 1"),
+    "not finite": (write("inf.txt", re.sub(r"^[^,]+", "inf", KEYPOINTS, flags=re.MULTILINE)), "line 1, column 1"),
     "one frame": (write("one.txt", KEYPOINTS.splitlines()[0]), "frame"),
     "truncated json": (write("cut.json", '{"Frames": [[1, 2'), "cut.json"),
     "other npz": (policy, "not a FastMimic motion: array"),
