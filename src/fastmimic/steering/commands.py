@@ -4,6 +4,7 @@ import json
 import math
 import socket
 import time
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -59,7 +60,7 @@ class CommandScript:
         return None if row < 0 else np.array(self._rows[row, 1:])
 
 
-class ReceivedCommands:
+class ReceivedCommands(ABC):
     """Velocities that another program sends."""
 
     end_s: float | None = None
@@ -67,9 +68,9 @@ class ReceivedCommands:
     def __init__(self) -> None:
         self._last, self._at = np.zeros(3), -math.inf
 
+    @abstractmethod
     def received(self) -> list[Array]:
         """The finite velocities (3,) that came since the last call, oldest first."""
-        raise NotImplementedError
 
     def velocity(self, time_s: float) -> Array | None:
         """The newest; zero, once, when none has come for `LOST_S`; None while none comes."""
