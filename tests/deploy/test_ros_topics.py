@@ -4,7 +4,6 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="CycloneDDS is not installed")
 
 from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl.annotations import final
 from cyclonedds.idl.types import array, float64, int32, sequence, uint32
 from cyclonedds.pub import DataWriter
@@ -25,115 +24,33 @@ from deploy.dds_domains import free_domain
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.base.rotations import quat_from_yaw
 from fastmimic.cli import main
-from fastmimic.deploy.dds import ros
+from fastmimic.deploy.dds.cyclone import Participant
 from fastmimic.deploy.dds.ros import CommandTopic, RosPublisher
 from fastmimic.deploy.log import LOG, ROW, DeploymentLog
 from fastmimic.robot import load_robot
 from fastmimic.steering import commands
 
 
-def named(package: str, name: str) -> str:
-    return f"{package}::msg::dds_::{name}_"
+def ros(package: str, name: str, /, **fields: Any) -> Any:
+    """A type as ROS 2 names and serialises it on DDS."""
+    return final(make_idl_struct(name, f"{package}::msg::dds_::{name}_", fields))
 
 
-@dataclass
-@final
-class Time(IdlStruct, typename=named("builtin_interfaces", "Time")):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-@final
-class Header(IdlStruct, typename=named("std_msgs", "Header")):
-    stamp: Time
-    frame_id: str
-
-
-@dataclass
-@final
-class JointState(IdlStruct, typename=named("sensor_msgs", "JointState")):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-@final
-class Vector3(IdlStruct, typename=named("geometry_msgs", "Vector3")):
-    x: float64
-    y: float64
-    z: float64
-
-
-@dataclass
-@final
-class Quaternion(IdlStruct, typename=named("geometry_msgs", "Quaternion")):
-    x: float64
-    y: float64
-    z: float64
-    w: float64
-
-
-@dataclass
-@final
-class Transform(IdlStruct, typename=named("geometry_msgs", "Transform")):
-    translation: Vector3
-    rotation: Quaternion
-
-
-@dataclass
-@final
-class TransformStamped(IdlStruct, typename=named("geometry_msgs", "TransformStamped")):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-@final
-class TFMessage(IdlStruct, typename=named("tf2_msgs", "TFMessage")):
-    transforms: sequence[TransformStamped]
-
-
-@dataclass
-@final
-class Twist(IdlStruct, typename=named("geometry_msgs", "Twist")):
-    linear: Vector3
-    angular: Vector3
-
-
-@dataclass
-@final
-class Pose(IdlStruct, typename=named("geometry_msgs", "Pose")):
-    position: Vector3
-    orientation: Quaternion
-
-
-@dataclass
-@final
-class PoseWithCovariance(IdlStruct, typename=named("geometry_msgs", "PoseWithCovariance")):
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-@final
-class TwistWithCovariance(IdlStruct, typename=named("geometry_msgs", "TwistWithCovariance")):
-    twist: Twist
-    covariance: array[float64, 36]
-
-
-@dataclass
-@final
-class Odometry(IdlStruct, typename=named("nav_msgs", "Odometry")):
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
-
+Time = ros("builtin_interfaces", "Time", sec=int32, nanosec=uint32)
+Header = ros("std_msgs", "Header", stamp=Time, frame_id=str)
+NUMBERS = {name: sequence[float64] for name in ("position", "velocity", "effort")}
+JointState = ros("sensor_msgs", "JointState", header=Header, name=sequence[str], **NUMBERS)
+Vector3 = ros("geometry_msgs", "Vector3", x=float64, y=float64, z=float64)
+Quaternion = ros("geometry_msgs", "Quaternion", x=float64, y=float64, z=float64, w=float64)
+Transform = ros("geometry_msgs", "Transform", translation=Vector3, rotation=Quaternion)
+TransformStamped = ros("geometry_msgs", "TransformStamped", header=Header, child_frame_id=str, transform=Transform)
+TFMessage = ros("tf2_msgs", "TFMessage", transforms=sequence[TransformStamped])
+Twist = ros("geometry_msgs", "Twist", linear=Vector3, angular=Vector3)
+Pose = ros("geometry_msgs", "Pose", position=Vector3, orientation=Quaternion)
+PoseWithCovariance = ros("geometry_msgs", "PoseWithCovariance", pose=Pose, covariance=array[float64, 36])
+TwistWithCovariance = ros("geometry_msgs", "TwistWithCovariance", twist=Twist, covariance=array[float64, 36])
+MOVED = {"child_frame_id": str, "pose": PoseWithCovariance, "twist": TwistWithCovariance}
+Odometry = ros("nav_msgs", "Odometry", header=Header, **MOVED)
 
 KINDS = {"joint_states": JointState, "joint_commands": JointState, "odom": Odometry, "tf": TFMessage}
 
@@ -219,7 +136,7 @@ def test_fifty_times_a_second_and_no_place_before_there_is_an_estimate(domain: i
 @contextlib.contextmanager
 def a_node(domain: int, topic: str, kind: Any) -> Iterator[Callable[[Any], None]]:
     """Publishes as a ROS 2 node does."""
-    with contextlib.closing(ros.Participant(domain)):  # keeps the domain on the loopback
+    with contextlib.closing(Participant(domain)):  # keeps the domain on the loopback
         participant = DomainParticipant(domain)
         writer = DataWriter(participant, Topic(participant, f"rt/{topic}", kind))
         yield writer.write
