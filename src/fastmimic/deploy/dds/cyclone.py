@@ -75,10 +75,11 @@ def loaned(reader: int, depth: int, structure: Any, convert: Callable[[Any], T])
 
 
 def configuration(interface: str) -> str:
-    """CycloneDDS's configuration for a network interface: peers are found by port on loopback, else by multicast."""
+    """CycloneDDS's configuration for a network interface: peers are found by port and, where
+    loopback has it, multicast on loopback; else by multicast."""
     general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
     if interface == LOOPBACK:
-        general += "<AllowMulticast>false</AllowMulticast>"
+        general += "<AllowMulticast>spdp</AllowMulticast>"
         discovery = (
             "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
             f"<MaxAutoParticipantIndex>{MAX_PARTICIPANTS - 1}</MaxAutoParticipantIndex>"
