@@ -38,6 +38,7 @@ def main() -> None:
     parser.add_argument("robots", nargs="*", default=["a1", "go2"])
     parser.add_argument("--minutes", type=float, default=30.0, help="of each case")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--forwards", type=float, default=1.5, help="the greatest velocity forwards, m/s")
     parser.add_argument("--gait", nargs="*", default=[], help="one period of an animal's gaits, the slowest first")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
@@ -45,14 +46,17 @@ def main() -> None:
     for robot in given.robots:
         gaits = gait_field(robot, [open_clip(gait) for gait in given.gait], workers=None)
         for name, case in CASES.items():
-            found = run(gaits, 60.0 * given.minutes, given.seed, **case)
-            rows.append({"robot": gaits.robot.name, "gait": ", ".join(given.gait) or "built-in", "case": name, **found})
+            found = run(gaits, 60.0 * given.minutes, given.seed, given.forwards, **case)
+            by = {"robot": gaits.robot.name, "gait": ", ".join(given.gait) or "built-in", "forwards": given.forwards}
+            rows.append({**by, "case": name, **found})
             print(json.dumps(rows[-1]), flush=True)
     if given.json is not None:
         given.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
 
 
-def run(gaits: GaitField, seconds: float, seed: int, push: float = 0.0, terrain: str | None = None) -> dict[str, Any]:
+def run(
+    gaits: GaitField, seconds: float, seed: int, forwards: float, push: float = 0.0, terrain: str | None = None
+) -> dict[str, Any]:
     figures, rng, episode, control = SteeringFigures(), np.random.default_rng(seed), 0, []
     while figures.seconds < seconds - 1e-6:
         ground: Any = terrain  # as a text
@@ -64,18 +68,18 @@ def run(gaits: GaitField, seconds: float, seed: int, push: float = 0.0, terrain:
                 session.push(push * gaits.robot.mass, float(rng.uniform(-math.pi, math.pi)))
             return float(np.hypot(*session.observation["root_pos"][:2])) < FAR_M
 
-        follow(session, commands(rng), min(EPISODE_S, seconds - figures.seconds), figures, go_on)
+        follow(session, commands(rng, forwards), min(EPISODE_S, seconds - figures.seconds), figures, go_on)
         control.append(session.control_us)
         episode += 1
     median, p99 = np.median(control, axis=0)
     return figures.as_dict() | {"control_us": {"median": float(median), "p99": float(p99)}}
 
 
-def commands(rng: np.random.Generator) -> Callable[[float], Array]:
+def commands(rng: np.random.Generator, forwards: float) -> Callable[[float], Array]:
     """The velocity wanted at a time, s: forwards and to the left, m/s, turning to the left, rad/s."""
     times, velocities, at = [], [], 0.0
     while at < EPISODE_S:
-        velocities.append(np.array([rng.uniform(0.0, 1.5), rng.uniform(-0.4, 0.4), rng.uniform(-2.0, 2.0)]))
+        velocities.append(np.array([rng.uniform(0.0, forwards), rng.uniform(-0.4, 0.4), rng.uniform(-2.0, 2.0)]))
         times.append(at)
         at += rng.uniform(1.0, 4.0)
     return lambda time_s: velocities[int(np.searchsorted(times, time_s, side="right")) - 1]

@@ -44,9 +44,16 @@ def a1(robot: Robot) -> Robot:
 
 @pytest.fixture(scope="session")
 def gaits() -> GaitField:
-    """A walk and a trot of the A1 at few velocities, whose solutions are in the package."""
-    few = Grid((0.0, 0.6), (-0.2, 0.2), (1.0, 0.6))
-    return gait_field("a1", grid=Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5)), slow=lambda speed: few)
+    """A walk, a trot and a canter of the A1 at few velocities, whose solutions are in the package."""
+
+    def slow(speed: float) -> Grid:
+        return Grid((0.0, speed), (-speed / 3.0, speed / 3.0), (1.0, 0.6))
+
+    def fast(speed: float) -> Grid:
+        return Grid((0.8 * speed, speed), (0.0, 0.1 * speed), (0.8, 0.6))
+
+    grid = Grid((0.0, 1.5), (-0.4, 0.0, 0.4), (2.0, 0.9))
+    return gait_field("a1", grid=grid, slow=slow, fast=fast)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -11,7 +11,7 @@ from fastmimic.reference.course import course_of
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import standing
-from fastmimic.reference.table import SAMPLE
+from fastmimic.reference.table import GAIN_SAMPLES, SAMPLE
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import load_robot
 from fastmimic.steering.gait_field import GaitField, Grid, gait_field
@@ -70,3 +70,20 @@ def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
 def test_a_clip_that_does_not_repeat_is_no_gait() -> None:
     with pytest.raises(ClipError, match=r"jump is not one period of a gait; 'fastmimic segment' finds"):
         gait_field("a1", [open_clip("jump")])
+
+
+def test_a_gait_that_cannot_be_slow_has_passages_at_the_nearest_speeds(gaits: GaitField) -> None:
+    assert gaits.passages is not None
+    assert gaits.slower is not None
+    assert gaits.slower.passages is None
+    up, down = gaits.passages
+    slow, fast = gaits.slower.forwards[-1], gaits.forwards[0]
+    assert (up.before, up.after, down.before, down.after) == (slow, fast, fast, slow)
+    for passage, one, other in ((up, gaits.slower, gaits), (down, gaits, gaits.slower)):
+        rows, before = passage.field.rows[0], one.rows[one.straight(passage.before)]
+        after = other.rows[other.straight(passage.after)]
+        assert (rows["contact"][0] == before["contact"][passage.leave % len(before)]).all()
+        np.testing.assert_allclose(rows["root_z"][0], before["root_z"][passage.leave % len(before)], atol=2e-3)
+        np.testing.assert_allclose(rows["root_z"][passage.n - 1], after["root_z"][passage.arrive - 1], atol=2e-3)
+        np.testing.assert_array_equal(rows[passage.n :], np.roll(after, -passage.arrive))
+        assert passage.field.gains.shape[1] == -(-len(rows) // GAIN_SAMPLES)

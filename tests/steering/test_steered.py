@@ -35,7 +35,7 @@ def test_it_goes_where_it_is_told_and_its_feet_do_not_slide(
     steered = Steered(gaits)
     steered.steer(np.array(velocity))
     rows, poses, feet = run(steered, 4.0)
-    period = gaits.rows.shape[1]
+    period = gaits.chain()[1].rows.shape[1]
     np.testing.assert_allclose(steered.place["velocity"][0], velocity, atol=0.01)
     one, other = poses[-1 - 2 * period], poses[-1]
     turned = (other[2] - one[2]) / (2 * period * DT)
@@ -130,8 +130,10 @@ def test_a_table_ahead_holds_what_comes(gaits: GaitField) -> None:
 
 def test_what_is_beyond_the_gaits_becomes_the_nearest(gaits: GaitField) -> None:
     steered = Steered(gaits)
-    taken = steered.steer(np.array([9.0, -9.0, 9.0]))
-    np.testing.assert_allclose(taken, [gaits.forwards[-1], gaits.sideways[0], gaits.turning[-1]])
+    trot = gaits.chain()[1]
+    for gait, wanted in ((gaits, [9.0, 0.05, 0.0]), (trot, [0.5, -0.9, 0.9]), (trot, [-9.0, 0.0, 9.0])):
+        taken = steered.steer(np.array(wanted))
+        np.testing.assert_array_equal(taken, gait.nearest(np.array(wanted)))
     for wrong in (np.array([0.0, np.nan, 0.0]), np.zeros(2)):
         with pytest.raises(ConfigError, match="three numbers"):
             steered.steer(wrong)
@@ -148,12 +150,39 @@ def test_x_and_y_follow_the_robot_once_a_cycle(gaits: GaitField) -> None:
 
 
 def test_gaits_in_which_never_the_same_feet_stand_still_pass_into_each_other(gaits: GaitField) -> None:
-    assert gaits.slower is not None
-    rows = gaits.slower.rows.copy()
+    _, trot, walk = gaits.chain()
+    rows = walk.rows.copy()
     rows["contact"] = np.where(np.arange(rows.shape[1])[:, None] % 300 < 150, [1, 1, 0, 0], [0, 0, 1, 1])  # a bound
-    bound = dataclasses.replace(gaits.slower, name="bound", rows=rows)
-    steered = Steered(dataclasses.replace(gaits, slower=bound))
+    steered = Steered(dataclasses.replace(trot, slower=dataclasses.replace(walk, name="bound", rows=rows)))
     for speed, name in ((0.4, "bound"), (0.9, "trot"), (0.3, "bound")):
         steered.steer(np.array([speed, 0.0, 0.0]))
         run(steered, 2.0)
         assert steered.state == name
+
+
+def test_it_canters_where_it_is_faster_than_a_trot(gaits: GaitField) -> None:
+    steered, states = Steered(gaits), []
+    for wanted, seconds in ((1.9, 4.0), (0.9, 3.0), (0.0, 3.0)):
+        steered.steer(np.array([wanted, 0.0, 0.0]))
+        for _ in range(round(seconds / 0.1)):
+            rows, poses, feet = run(steered, 0.1)
+            stands = (rows["contact"][:-1] == 1) & (rows["contact"][1:] == 1)
+            assert np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1)[stands].max() < 2e-3
+            assert np.abs(np.diff(rows["joint_pos"], axis=0)).max() / DT < 1.2 * gaits.robot.joint_speed_limit.max()
+            assert np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=-1).max() / DT < 2.6
+            if steered.state not in states[-1:]:
+                states.append(steered.state)
+    way = ["trot", "trot to canter", "canter", "canter to trot", "trot"]
+    assert [state for state in states if state not in ("standing", "walk")] == way
+    assert states[-1] == "standing"
+
+
+def test_a_robot_that_is_put_somewhere_forgets_its_passage(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    steered.steer(np.array([1.9, 0.0, 0.0]))
+    while steered.state != "trot to canter":
+        run(steered, DT)
+    steered.put(1.0, 2.0, 0.5)
+    assert steered.state == "standing"
+    run(steered, 1.5)
+    assert steered.state == "trot"

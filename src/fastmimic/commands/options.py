@@ -279,7 +279,7 @@ class SteeredBy:
 
     gait: Annotated[tuple[str, ...], option("CLIP ...")] = ()
     """An animal's gaits, the slowest first: one period each, or a take, of which the period that repeats best is taken.
-    Default: a built-in walk and trot."""
+    Default: a built-in walk, trot and canter."""
     udp: Annotated[int | None, option("PORT")] = None
     """UDP port of this machine to which velocities come, as JSON like ROS's geometry_msgs/Twist."""
     topic: Annotated[str | None, option("NAME")] = None

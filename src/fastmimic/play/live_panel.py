@@ -113,11 +113,8 @@ class PlayPanel(Panel):
 
     def _add_velocity(self, reference: Steered) -> None:
         """Sliders of the velocity, which keys and stick add to."""
-        field = reference.field
-        turning = float(field.turning.max())
-        ends = ((field.forwards[0], field.forwards[-1]), (field.sideways[0], field.sideways[-1]), (-turning, turning))
-        for name, (least, most) in zip(_VELOCITY, ends, strict=True):
-            self._sliders[name] = self._gui.add_slider(name, round(least, 2), round(most, 2), 0.05, 0.0)
+        for name, (least, most) in zip(_VELOCITY, reference.field.ends().T.round(2).tolist(), strict=True):
+            self._sliders[name] = self._gui.add_slider(name, least, most, 0.05, 0.0)
             self._sliders[name].on_update(lambda _event: self._steer())
         stop = self._gui.add_button("Stop", hint="stand")
 

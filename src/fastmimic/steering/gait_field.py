@@ -5,6 +5,9 @@ where the animal puts them under the trunk. So at equal phase the same feet stan
 again, at the velocity between theirs, and the velocity can change in every control step. The axes of the grid are the
 velocities forwards and to the left and the turn rate. The greatest turn rate depends on the forward velocity, as the
 ground has to give their product as centripetal acceleration.
+
+A gait that cannot be slow, such as a canter, is reached from the slower one by a passage, and left by another: the
+transition of stitched motions, solved by optimal control, straight ahead at about the slower gait's top speed.
 """
 
 import dataclasses
@@ -25,10 +28,11 @@ from fastmimic.episode.loop import share_of_falls
 from fastmimic.executors import Report
 from fastmimic.executors.local import LocalExecutor
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import COURSE, course_of
+from fastmimic.reference.course import COURSE, course_of, make_course_transition
 from fastmimic.reference.regulator import GAINS, motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import standing
+from fastmimic.reference.table import GAIN_SAMPLES
 from fastmimic.retargeting.retarget import is_one_cycle, retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.robot import length_ratio
@@ -40,6 +44,7 @@ RATE_HZ: Final = 500.0
 _BUILT_IN: Final = {
     "walk": dataclasses.replace(GAITS["walk"], half_width=0.04, lift=0.08),
     "trot": dataclasses.replace(GAITS["trot"], speed=0.5, duty=0.55, half_width=0.04, lift=0.09),
+    "canter": GAITS["canter"],
 }
 _SHARES: Final = (1.0, 0.8, 0.6, 0.4)  # of a velocity that are tried
 _KEPT: Final = (
@@ -49,6 +54,7 @@ _KEPT: Final = (
 )
 _SAME_CONTACT: Final = 0.97  # share of a gait's contacts that stay
 _SEEN: Final = 0.01  # m/s or rad/s
+_SAME: Final = 1e-6  # between the velocities of a passage, m/s or rad/s: all are the same
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,11 @@ class Grid:
         """That of a gait for low speeds: up to its own one, m/s."""
         return cls((-0.5 * speed, 0.0, 0.5 * speed, speed), (-speed / 3.0, 0.0, speed / 3.0), (1.0, 1.0, 1.0, 0.6))
 
+    @classmethod
+    def beyond(cls, speed: float) -> "Grid":
+        """That of a gait for high speeds: around and up to its own one, m/s."""
+        return cls((0.6 * speed, 0.8 * speed, speed), (-0.1 * speed, 0.0, 0.1 * speed), (0.8, 0.8, 0.6))
+
     def velocities(self) -> list[tuple[float, float, float]]:
         """Those of all gaits (k = a · b · 3): turning to the right, not, and to the left."""
         pairs = zip(self.forwards, self.turning, strict=True)
@@ -77,11 +88,26 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
+class Passage:
+    """The way from one gait to another: it leaves the one before its row `leave`, at `before` m/s forwards, and enters
+    the other at its row `arrive`, at `after` m/s, `n` rows later. `field` has its rows, and a period of the other gait
+    after them, whatever the velocity."""
+
+    field: "GaitField"
+    n: int
+    leave: int
+    arrive: int
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, eq=False)
 class GaitField:
-    """A gait of one robot by velocity, at `RATE_HZ` control steps a second, and another one that is `slower`. The
-    grid's axes are `forwards` (a,) and `sideways` (b,), m/s, and turn rates to the right, none, and to the left, of
-    `turning` (a,), rad/s. `rows` (k + 1, t) of `COURSE` are one period of each gait in the order of the axes, and last
-    of standing; `gains` (k + 1, g) of `GAINS` are theirs, one for each `GAIN_SAMPLES` rows."""
+    """A gait of one robot by velocity, at `RATE_HZ` control steps a second, and another one that is `slower`, with the
+    passages from and to that one, if it needs them. The grid's axes are `forwards` (a,) and `sideways` (b,), m/s, and
+    turn rates to the right, none, and to the left, of `turning` (a,), rad/s. `rows` (k + 1, t) of `COURSE` are one
+    period of each gait in the order of the axes, and last of standing; `gains` (k + 1, g) of `GAINS` are theirs, one
+    for each `GAIN_SAMPLES` rows."""
 
     name: str
     robot: Robot
@@ -91,6 +117,7 @@ class GaitField:
     rows: NDArray[Any]
     gains: NDArray[Any]
     slower: "GaitField | None" = None
+    passages: tuple[Passage, Passage] | None = None
 
     def __repr__(self) -> str:
         return f"<GaitField {' over '.join(gait.name for gait in self.chain())} of {self.robot.name}>"
@@ -99,16 +126,27 @@ class GaitField:
         """This gait and all slower ones."""
         return [self, *(self.slower.chain() if self.slower is not None else ())]
 
+    def straight(self, speed: float) -> int:
+        """Which of its gaits goes straight ahead with one of its speeds, m/s."""
+        k, middle = (int(np.argmin(np.abs(axis))) for axis in (self.forwards - speed, self.sideways))
+        return (k * len(self.sideways) + middle) * 3 + 1
+
     def has(self, velocity: Array) -> bool:
         """Whether it has a velocity (3,), but for what nobody sees."""
         return bool(np.abs(self.nearest(velocity) - velocity).max() < _SEEN)
 
     def nearest(self, velocity: Array) -> Array:
-        """The velocity (3,) of the field that is nearest to one: forwards, to the left, m/s, and turning, rad/s."""
+        """The velocity (3,) of this gait that is nearest to one: forwards, to the left, m/s, and turning, rad/s."""
         forwards = np.clip(velocity[0], self.forwards[0], self.forwards[-1])
         sideways = np.clip(velocity[1], self.sideways[0], self.sideways[-1])
         most = np.interp(forwards, self.forwards, self.turning)
         return np.array([forwards, sideways, np.clip(velocity[2], -most, most)])
+
+    def ends(self) -> Array:
+        """The least and the greatest velocities of all gaits (2, 3)."""
+        most = [(gait.forwards[-1], gait.sideways[-1], gait.turning.max()) for gait in self.chain()]
+        least = [(gait.forwards[0], gait.sideways[0], -gait.turning.max()) for gait in self.chain()]
+        return np.array([np.min(least, axis=0), np.max(most, axis=0)])
 
 
 def gait_field(
@@ -118,11 +156,13 @@ def gait_field(
     *,
     grid: Grid = Grid(),
     slow: Callable[[float], Grid] = Grid.up_to,
+    fast: Callable[[float], Grid] = Grid.beyond,
     workers: int | None = 1,
 ) -> GaitField:
     """The field of a robot, whose name or file is `source`, from one period each of an animal's gaits, the slowest
-    first, or by default of a built-in walk and trot. The last one has the velocities of `grid`, others those of `slow`
-    up to their own speed. It is made once and kept in the user's cache folder: in a minute or two for each gait, or in
+    first, or by default of a built-in walk, trot and canter. The last one whose own speed is within `grid` has the
+    velocities of that (the first, if none is), those before it those of `slow` for their own speed, and those after it
+    those of `fast`. It is made once and kept in the user's cache folder: in a minute or two for each gait, or in
     seconds where its solutions are in the package, as those of the A1 and the Go2 with the built-in gaits. `progress`
     is told how many velocities of a gait are done, and of how many. `workers` processes make it, as many as there are
     cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there is
@@ -134,9 +174,14 @@ def gait_field(
             name = clip.meta.get("name", "the clip")
             raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
     size, found = length_ratio(robot), None
-    for k, clip in enumerate(clips):
-        own = grid if k == len(clips) - 1 else slow(_speed(clip, robot) / size)
-        found = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))
+    speeds = [_speed(clip, robot) / size for clip in clips]
+    widest = max((k for k, speed in enumerate(speeds) if speed <= grid.forwards[-1]), default=0)
+    for k, (clip, speed) in enumerate(zip(clips, speeds, strict=True)):
+        own = grid if k == widest else slow(speed) if k < widest else fast(speed)
+        made = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))
+        if found is not None and own.forwards[0] > 0.0:
+            made = dataclasses.replace(made, passages=_passages(robot, (clips[k - 1], clip), (found, made)))
+        found = made
     assert found is not None
     return found
 
@@ -200,6 +245,57 @@ def _made(
     return {name: np.stack(each)[..., None].view("u1") for name, each in (("rows", rows), ("gains", gains))}
 
 
+def _passages(robot: Robot, clips: tuple[Clip, Clip], fields: tuple[GaitField, GaitField]) -> tuple[Passage, Passage]:
+    """From a gait to a faster one, and back, between their nearest speeds."""
+    speeds = min(product(*(field.forwards.tolist() for field in fields)), key=lambda pair: abs(pair[0] - pair[1]))
+    given = [np.array(speeds), *(clip.points_w for clip in clips), *(field.rows["root_z"] for field in fields)]
+    known = Remembered(repr(("passages", robot.said, [clip.rate_hz for clip in clips])), given, outcome=True)
+    found = known.read()
+    if found is None:
+        motions = [motion_at(robot, clip, (speed, 0.0, 0.0)) for clip, speed in zip(clips, speeds, strict=True)]
+        found = {}
+        for name, (one, other) in (("up", (0, 1)), ("down", (1, 0))):
+            way = make_course_transition(robot, motions[one], motions[other], RegulatorConfig())
+            if way is None:
+                raise MotionError(f"{robot.name} cannot go over from {fields[one].name} to {fields[other].name}")
+            part = way.course[way.first : way.last]
+            found[name] = part[..., None].view("u1")
+            found[f"{name} gains"] = way.gains[part["gain"][::GAIN_SAMPLES]][..., None].view("u1")
+            found[f"{name} at"] = np.array([way.leave, way.arrive])
+        known.keep(found, packaged=False)
+    up, down = (
+        _passage(found, name, fields[one], fields[other], speeds[one], speeds[other])
+        for name, one, other in (("up", 0, 1), ("down", 1, 0))
+    )
+    return up, down
+
+
+def _passage(
+    found: dict[str, Array], name: str, one: GaitField, other: GaitField, before: float, after: float
+) -> Passage:
+    own, gains = found[name].view(COURSE)[..., 0], found[f"{name} gains"].view(GAINS)[..., 0]
+    leave, arrive = (int(row) for row in found[f"{name} at"])
+    k = other.straight(after)
+    then = (arrive + np.arange(other.rows.shape[1])) % other.rows.shape[1]
+    rows = np.concatenate([own, other.rows[k, then]])
+    n = len(rows)
+    ahead = then[-len(own) % GAIN_SAMPLES :: GAIN_SAMPLES] // GAIN_SAMPLES
+    gains = np.concatenate([gains, other.gains[k, ahead]])
+    anywhere = np.array([0.0, _SAME])
+    field = GaitField(
+        f"{one.name} to {other.name}",
+        other.robot,
+        after + anywhere,
+        anywhere,
+        np.full(2, _SAME),
+        np.concatenate([np.broadcast_to(rows, (12, n)), np.broadcast_to(other.rows[-1, :1], (1, n))]),
+        np.concatenate(
+            [np.broadcast_to(gains, (12, len(gains))), np.broadcast_to(other.gains[-1, :1], (1, len(gains)))]
+        ),
+    )
+    return Passage(field, len(own), leave, arrive, before, after)
+
+
 def make_gait(
     job: tuple[str, Clip, tuple[float, float, float]], report: Report = lambda share: None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -207,11 +303,18 @@ def make_gait(
     slower one."""
     source, clip, wanted = job
     robot = load_robot(source)
+    motion = motion_at(robot, clip, wanted)
+    return course_of(motion, robot), motion_gains(motion, robot, RegulatorConfig())
+
+
+def motion_at(robot: Robot, clip: Clip, wanted: tuple[float, float, float]) -> Motion:
+    """A robot's executable motion of one period of a gait at a velocity; if there is none, at a lower one. Raises
+    `MotionError` if there is none at all."""
     for share in _SHARES:
         animal, _ = retarget(clip, robot, velocity=share * np.array(wanted), cycle=True, executable=False)
         motion = _executable(robot, animal)
         if motion is not None:
-            return course_of(motion, robot), motion_gains(motion, robot, RegulatorConfig())
+            return motion
     at = "{:g} m/s, {:g} m/s to the left, {:g} rad/s".format(*wanted)
     raise MotionError(f"{robot.name} cannot be steered by {clip.meta.get('name', 'this clip')}: no motion at {at}")
 

@@ -8,10 +8,11 @@ feet are on the ground.
 
 Where a field has a slower gait that can do what is wanted, such as a walk, the robot goes over to it, and back, at the
 next moment at which the same feet stand in both. Feet go on from where they are, and what else differs fades (as in
-games: Bollo 2018, "Inertialization").
+games: Bollo 2018, "Inertialization"). A gait that cannot be slow, such as a canter, is entered and left by the field's
+passages.
 """
 
-from itertools import chain, permutations
+from itertools import pairwise, permutations
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +26,7 @@ from fastmimic.base.vectors import copy
 from fastmimic.reference.course import make_work, put_at, put_joints, to_body
 from fastmimic.reference.table import GAIN_SAMPLES
 from fastmimic.steering.gait import LANDED, SPARE, Gait
-from fastmimic.steering.gait_field import RATE_HZ, GaitField
+from fastmimic.steering.gait_field import RATE_HZ, GaitField, Passage
 
 _ACCELERATION: Final = (2.0, 1.5, 6.0)  # forwards and sideways, m/s², and turning, rad/s²
 _JERK_S: Final = 0.12  # until the acceleration is that great
@@ -34,6 +35,9 @@ _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is 
 _STAND_S: Final = 0.15  # between a gait and standing
 _CENTRED_S: Final = 0.3  # time constant with which a standing trunk moves to the middle of its feet
 _FADE_S: Final = 0.25  # in which the difference of two gaits fades
+_CALM: Final = (0.03, 0.03, 0.05)  # m/s, m/s, rad/s: near enough to the velocity at which a passage begins
+_CALM_RATE: Final = (0.3, 0.3, 0.6)  # and its rate, 1/s
+_LATE: Final = 5  # rows by which a passage may begin later
 
 _TURN, _HEIGHT, _TILT, _MOTION, _FOOT, _ROLL = 2, 3, slice(4, 8), 8, 26, 38  # columns of a gait's values
 _WIDTH: Final = 46
@@ -69,7 +73,13 @@ class Steered:
         self.field = field
         self._gaits = [Gait(each) for each in reversed(field.chain())]  # the slowest first
         self._ways = {(one, other): one.rows_from(other) for one, other in permutations(self._gaits, 2)}
+        self._passages = {
+            between: (passage, Gait(passage.field))
+            for pair in pairwise(self._gaits)
+            for between, passage in zip((pair, pair[::-1]), pair[1].field.passages or (), strict=False)
+        }
         self._gait = self._gaits[0]
+        self._passing: tuple[Passage, Gait] | None = None  # and what comes after it
         self.place = np.zeros(1, STEERED)
         self._scratch = self.place.copy()
         self._work = np.zeros(1, _MIXTURE)[0], make_work(field.robot, 1.0 / RATE_HZ)[0]
@@ -87,7 +97,7 @@ class Steered:
 
     def put(self, x: float, y: float, yaw: float) -> None:
         """Begins to stand here in the world, m and rad; what is wanted stays."""
-        wanted = self.place["wanted"].copy()
+        wanted, self._gait, self._passing = self.place["wanted"].copy(), self._gaits[0], None
         self.place[...] = np.zeros(1, STEERED)
         self.place["pose"], self.place["wanted"] = (x, y, yaw), wanted
         self.place["stands"], self.place["standing"] = 1.0, 1
@@ -102,14 +112,21 @@ class Steered:
             return np.array(self._asked)
         if np.shape(velocity) != (3,) or not np.isfinite(velocity).all():
             raise ConfigError(f"a velocity to steer to has three numbers, found {velocity}")
-        self._told, self._asked = np.array(velocity), self.field.nearest(velocity)
+        nearest = [gait.field.nearest(velocity) for gait in self._gaits]
+        self._told, self._asked = np.array(velocity), min(nearest, key=lambda v: float(np.linalg.norm(v - velocity)))
         self._choose()
         self.place["wanted"] = self._gait.field.nearest(self._asked)
         return np.array(self._asked)
 
     def _choose(self) -> None:
-        """The gaits that have what is asked for, the slowest first, and those of them that have some to spare."""
-        self._able = [gait for gait in self._gaits if gait.field.has(self._asked)]
+        """All gaits, those first that come nearest to what is asked for, of equal ones the slowest; and of the gaits
+        that have it, those that have some to spare."""
+
+        def missing(gait: Gait) -> float:
+            field = gait.field
+            return 0.0 if field.has(self._asked) else float(np.linalg.norm(field.nearest(self._asked) - self._asked))
+
+        self._preferred = sorted(self._gaits, key=missing)
         self._ample = [gait for gait in self._gaits if gait.field.has(SPARE * self._asked)]
 
     def update(self) -> None:
@@ -134,21 +151,57 @@ class Steered:
         _fill(*self._gait.given, self._scratch[0], *self._work, rows)
 
     def _change_gait(self) -> None:
-        """Goes over to the slowest gait that has what is wanted, as soon as it has the present velocity and the same
-        feet stand."""
-        place, now = self.place[0], self._gait
-        k = self._gaits.index(now) if place["standing"] == 0 else len(self._gaits) - 1
-        slower, others = self._gaits[:k], self._gaits[k:]
-        take_over = (gait for gait in self._ample if gait in slower and gait.field.has(place["velocity"]))
-        wanted = next(chain(take_over, (gait for gait in self._able if gait in others)), now)
-        if wanted is now:
+        """Goes over to the first of the preferred gaits that has the present velocity, as soon as the same feet stand,
+        or by a passage; to a slower one only if that has what is asked for to spare, so that a trembling stick changes
+        nothing."""
+        place, now, row = self.place[0], self._gait, int(self.place["position"][0])
+        if self._passing is not None:
+            passage, gait = self._passing
+            if row >= passage.n:
+                self._passing = None
+                self._go_over(gait, (passage.arrive + row - passage.n) % gait.n)
+                place["wanted"] = gait.field.nearest(self._asked)
             return
-        if place["standing"] == 1 and place["stands"] == 1.0:
-            self._gait = wanted
-            _put(*wanted.given, place, *self._work)
-        elif place["stands"] == 0.0 and (row := self._ways[wanted, now][int(place["position"])]) >= 0:
-            self._go_over(wanted, row)
-        place["wanted"] = self._gait.field.nearest(self._asked)
+        gait = self._next_gait(now)
+        place["wanted"] = now.field.nearest(self._asked)
+        if gait is now:
+            return
+        if place["standing"] == 1:
+            if place["stands"] == 1.0:
+                self._gait = gait
+                _put(*gait.given, place, *self._work)
+        elif place["stands"] > 0.0:
+            return
+        elif (now, gait) in self._passages:
+            self._pass(gait, row)
+        elif (other := self._ways[gait, now][row]) >= 0:
+            self._go_over(gait, other)
+            place["wanted"] = gait.field.nearest(self._asked)
+
+    def _next_gait(self, now: Gait) -> Gait:
+        """The first of the preferred gaits that can follow the present one, or standing."""
+        place = self.place[0]
+        if place["standing"] == 1:
+            slow = [gait for gait in self._preferred if gait.field.passages is None]
+            return next((gait for gait in slow if gait in self._ample), slow[0])
+        for gait in self._preferred:
+            spared = gait in self._ample or self._gaits.index(gait) > self._gaits.index(now)
+            fits = gait.field.passages is None and gait.field.has(place["velocity"])
+            if gait is now or (spared and (fits or (now, gait) in self._passages)):
+                return gait
+        return now
+
+    def _pass(self, gait: Gait, row: int) -> None:
+        """Comes to the velocity at which a passage to another gait begins, and takes it at its row."""
+        place, (passage, way) = self.place[0], self._passages[self._gait, gait]
+        place["wanted"] = passage.before, 0.0, 0.0
+        late = (row - passage.leave) % self._gait.n
+        calm = np.abs(place["wanted"] - place["velocity"]) < _CALM
+        if late < _LATE and calm.all() and (np.abs(place["rate"]) < _CALM_RATE).all():
+            self._go_over(way, late)
+            self._passing = passage, gait
+            place["velocity"] = place["wanted"] = passage.after, 0.0, 0.0
+            place["rate"] = 0.0
 
     def _go_over(self, gait: Gait, row: int) -> None:
         """Goes on at a row of another gait. What the gaits differ in begins to fade; feet are as far away from where
