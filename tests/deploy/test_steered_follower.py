@@ -12,6 +12,7 @@ from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.sequence import MotionSequence, SteeredFollower
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.robot import Robot
+from fastmimic.robot.state import MEMORY, OBSERVATION
 from fastmimic.steering.commands import CommandScript
 from fastmimic.steering.gait_field import GaitField
 
@@ -66,3 +67,16 @@ def test_asked_to_sit_down_it_stands_first(steered: Rig) -> None:
     assert velocities(done, 1.2, 1.5)[0] > 0.4, "it went"
     assert 2.0 < inside.sum() / 500 < 3.5
     assert velocities(done, inside.sum() / 500 - 0.2, inside.sum() / 500)[0] < 0.05, "it stood before it sat down"
+
+
+def test_its_gains_are_those_of_the_gait_that_it_is_in(standstill: MotionSequence, gaits: GaitField) -> None:
+    follower = SteeredFollower(standstill, gaits, lambda time_s: np.array([1.9, 0.0, 0.0]))
+    observation, memory, states = np.zeros(1, OBSERVATION), np.zeros(1, MEMORY), set()
+    follower.enter_motion(np.zeros(3))
+    for _ in range(2500):
+        follower.advance_motion(observation, memory)
+        observation["root_pos"][0, :2] = follower.clock["origin"][0, :2]
+        states.add(follower.text)
+        assert follower.tables["gain"].max() < follower.gains.shape[1]
+        assert follower.text == "standing" or np.shares_memory(follower.gains, follower._steered.gains)
+    assert states == {"standing", "trot", "trot to canter", "canter"}

@@ -165,7 +165,7 @@ class SteeredFollower(Follower):
         return self._steered.state if self.in_motion else "standing"
 
     def enter_motion(self, pose: Array, passed: int = 0) -> None:
-        self.in_motion, self.gains, self._stood = True, self._steered.gains[None], 0
+        self.in_motion, self._stood = True, 0
         self._steered.put(*pose)
         self._show()
 
@@ -183,7 +183,7 @@ class SteeredFollower(Follower):
 
     def _show(self) -> None:
         self._steered.fill(self.tables[0])
-        self.clock["origin"] = self._steered.place["pose"]
+        self.clock["origin"], self.gains = self._steered.place["pose"], self._steered.gains[None]
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:

@@ -29,6 +29,7 @@ from fastmimic.steering.gait import LANDED, SPARE, Gait
 from fastmimic.steering.gait_field import RATE_HZ, GaitField, Passage
 
 _ACCELERATION: Final = (2.0, 1.5, 6.0)  # forwards and sideways, m/s², and turning, rad/s²
+_STRETCHED: Final = 0.85  # share of the acceleration forwards that is left out near a gait's top speed
 _JERK_S: Final = 0.12  # until the acceleration is that great
 _SETTLE_S: Final = 0.25  # time constant of the last approach to the wanted velocity
 _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is below that can stand
@@ -339,7 +340,7 @@ def _advance(
     still = True
     for k in range(3):
         still = still and abs(s.wanted[k]) < _STILL[k]
-    _change_velocity(s, dt)
+    _change_velocity(s, grid[0][-1], dt)
     s.fades = max(s.fades - dt / _FADE_S, 0.0)
     if s.standing == 1:
         s.stands = min(s.stands + dt / _STAND_S, 1.0)
@@ -377,11 +378,13 @@ def _advance(
 
 
 @kernel
-def _change_velocity(s: Any, dt: float) -> None:
-    """Brings the velocity nearer to the wanted one; a standing robot has none."""
+def _change_velocity(s: Any, top: float, dt: float) -> None:
+    """Brings the velocity nearer to the wanted one; a standing robot has none. Near a gait's `top` speed forwards, m/s,
+    where legs are nearly stretched, it accelerates less."""
     for k in range(3):
         most = _ACCELERATION[k]
-        rate = min(max((s.wanted[k] - s.velocity[k]) / _SETTLE_S, -most), most)
+        fast = min(max(2.5 * s.velocity[0] / top - 1.25, 0.0), 1.0) if k == 0 else 0.0
+        rate = min(max((s.wanted[k] - s.velocity[k]) / _SETTLE_S, -most), (1.0 - _STRETCHED * fast) * most)
         change = most / _JERK_S * dt
         s.rate[k] += min(max(rate - s.rate[k], -change), change)
         s.velocity[k] += s.rate[k] * dt
