@@ -203,6 +203,7 @@ def _clips(scratch: Path) -> list[Case]:
         "dog.bvh": lambda path, p, hz: path.write_text(_bvh(p, poses, hz)),
         "named.csv": lambda path, p, _: path.write_text(_named(p, poses)),
         "table.h5": lambda path, p, _: poses.deeplabcut_h5(path, p),
+        "fixed.h5": lambda path, p, _: poses.deeplabcut_fixed_h5(path, p),
         "sleap.h5": lambda path, p, _: poses.sleap_anipose_h5(path, [p], names=True),
         "flat.h5": lambda path, p, _: poses.sleap_analysis_h5(path, p),
         "markers.c3d": poses.c3d,

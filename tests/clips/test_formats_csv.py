@@ -109,8 +109,10 @@ def test_time_that_runs_unevenly_is_refused(a1):
 
 
 def test_columns_without_use_are_named(a1):
-    text = named([*ROOT, *JOINT_NAMES, "FR_contact"], np.hstack([csv_values(), np.ones((8, 1))]))
-    assert any("not used: fr_contact" in s for s in csv_motion.parse(text, robot=a1).meta["assumed"])
+    text = named([*ROOT, *JOINT_NAMES, "FR_contact", "gait"], np.hstack([csv_values(), np.ones((8, 2))]))
+    text = text.replace("1.00000\n", "trots\n")
+    assert text.count("trots") == 8
+    assert any("not used: fr_contact, gait" in s for s in csv_motion.parse(text, robot=a1).meta["assumed"])
 
 
 def test_a_missing_joint_is_named_and_the_closest_column_offered(a1):

@@ -159,6 +159,37 @@ def test_a_low_score_of_anipose_is_a_gap(tmp_path: Path) -> None:
     assert np.abs(clip.points_w - walk()).max() < 0.01
 
 
+@pytest.mark.parametrize(("usual", "found"), [(1.5, True), (15.0, False)])
+def test_a_point_on_which_the_views_of_anipose_disagree_is_a_gap(usual: float, found: bool, tmp_path: Path) -> None:
+    points, path = walk(), tmp_path / "take.csv"
+    points[50:60, TOE] += 0.02
+    rows = [line.split(",") for line in pose_files.anipose_csv(points).splitlines()]
+    for column in (i for i, title in enumerate(rows[0]) if title.endswith("_error")):
+        own = rows[0][column] == f"{pose_files.NAMES[TOE]}_error"
+        for number, row in enumerate(rows[1:]):
+            row[column] = "60.0" if own and 50 <= number < 60 else str(usual)  # if all are large, it is the calibration
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    clip = read_clip(path, ReadOptions(fps=RATE))
+    said = "10 points with a reprojection error above 25 px are left out"
+    assert (said in clip.meta["assumed"]) == found
+    assert (np.abs(clip.points_w - walk()).max() < 0.01) == found
+
+
+@pytest.mark.parametrize("name", ["named.csv", "deeplabcut.csv", "anipose.csv"])
+def test_columns_of_words_are_not_looked_at(name: str, tmp_path: Path) -> None:
+    points, path = walk(1), tmp_path / name
+    if name == "named.csv":
+        text = ",".join(f"{point}_{axis}" for point in POINT_NAMES for axis in "xyz") + "\n"
+        text += "\n".join(",".join(f"{v:.5f}" for v in frame.ravel()) for frame in points)
+    else:
+        write = {"anipose.csv": pose_files.anipose_csv, "deeplabcut.csv": lambda p: pose_files.deeplabcut_csv({"": p})}
+        text = write[name](points)
+    heads = {"deeplabcut.csv": 3}.get(name, 1)
+    lines = [f"{line},{'behaviour' if i < heads else 'walks'}" for i, line in enumerate(text.splitlines())]
+    path.write_text("\n".join(lines) + "\n")
+    np.testing.assert_allclose(read_clip(path, ReadOptions(fps=RATE)).points_w, points, atol=1e-3)
+
+
 def test_rows_that_anipose_left_out_are_gaps(tmp_path: Path) -> None:
     lines = pose_files.anipose_csv(walk()).splitlines()
     (tmp_path / "take.csv").write_text("\n".join([*lines[:101], *lines[106:]]))

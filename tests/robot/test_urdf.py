@@ -171,7 +171,11 @@ def test_the_command_says_what_a_file_is_taken_for(folder: Path, capsys: pytest.
     assert "FR_foot, FL_foot, RR_foot, RL_foot: spheres of 20 mm" in lines["feet"]
     assert "knee 33.5 N·m" in lines["torque"]
     assert "knees point back" in lines["stands"]
-    assert main(["robots", "go2"]) == 0
+    for robot in (str(folder), "go2"):
+        assert main(["robots", robot]) == 0
+        *_, assumed = lines = capsys.readouterr().out.splitlines()
+        assert len(lines) == 10
+        assert ("meshes left out" in assumed and "rotor inertia" in assumed) == (robot != "go2")
 
 
 def published(name: str) -> Robot:

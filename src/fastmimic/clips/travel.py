@@ -2,8 +2,10 @@
 
 If the trunk moves over the ground by v and turns by ω, then v + ω × p + u = 0 for a standing foot at p from the trunk
 whose velocity from it is u. Robust least squares over all low feet give v, and ω where the heading was taken out as
-well. A paw rolls forward over its toes but hardly back while it carries weight, so feet that move back count more. A
-trunk changes its speed slowly: that carries the solution over phases of flight.
+well. A paw rolls forward over its toes but hardly back while it carries weight, so feet that move back count more.
+A trunk's speed changes within a stride as the ground's force has it, which points from the feet that stand to the trunk
+with the load that the trunk's height shows; other changes have a price. That carries the solution over phases of flight
+and of push-off, when paws roll and the trunk is fastest.
 """
 
 from dataclasses import replace
@@ -12,18 +14,24 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ClipError, unknown
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar
 from fastmimic.clips.clip import Clip
 
 TRAVEL: Final = ("auto", "recover", "as-is")
 
-_LOW: Final = 0.4  # height of a standing foot, share of the greatest nearby
+_LOW: Final = 0.35  # height of a standing foot, share of the greatest nearby
 _SLIP: Final = 0.1  # speed of a standing foot over the ground, share of the fastest foot's nearby
-_BACKWARDS: Final = 2.8  # weight of feet that move back over the ground
+_BACKWARDS: Final = 2.4  # weight of feet that move back over the ground
 _NEARBY_S: Final = 0.75
 _SWAY_S: Final = 0.2
 _SMOOTH_S: Final = 0.2
+_TURNS: Final = 0.13  # price of changes of ω, share of that of v
+_STRIDE_S: Final = 0.1  # slower changes of the ground's force are not known: the centre of mass is not quite the trunk
+_SHAKE_S: Final = 0.02
+_MOST_LOAD: Final = 3.0  # on the feet, times the weight
+_MASS_HEIGHT: Final = 0.88  # of the centre of mass, share of the trunk's between neck and pelvis
 _ROUNDS: Final = 15
 _NO_HEADING_RAD: Final = 0.01  # standard deviation below which a heading was taken out: an animal's is above 0.02
 _LEAST_FLOW: Final = 0.5  # of the ground below the low feet of an animal on the spot, share of all feet's speed
@@ -31,13 +39,16 @@ _LARGEST_WAY: Final = 0.2  # speed of a trunk that does not travel, share of the
 
 
 class _Feet(NamedTuple):
-    """The velocities (t, 4, 2) of the feet in the recording and of the ground below them, `rows` (t, 4, 2, 3), for a
-    unit of v and of ω; how low they are (t, 4), from 0 to 1; and their RMS distance from the trunk, m."""
+    """The places (t, 4, 2) and velocities of the feet in the recording, and those of the ground below them, `rows`
+    (t, 4, 2, 3), for a unit of v and of ω; how low they are (t, 4), from 0 to 1; their RMS distance from the trunk, m;
+    and the trunk's acceleration (t,), for each metre that it is off the feet, m/s²."""
 
+    place: Array
     velocity: Array
     rows: Array
     low: Array
     size: float
+    load: Array
 
 
 def with_travel(clip: Clip, travel: str = "auto") -> Clip:
@@ -99,7 +110,19 @@ def _feet(clip: Clip, no_heading: bool) -> _Feet:
     rows[..., 0, 0] = rows[..., 1, 1] = 1.0
     if no_heading:
         rows[..., 2] = np.stack([-place[..., 1], place[..., 0]], axis=-1)
-    return _Feet(np.gradient(place, 1.0 / clip.rate_hz, axis=0), rows, np.exp(-((share / _LOW) ** 2)), _rms(place))
+    size, low = _rms(place), np.exp(-((share / _LOW) ** 2))
+    trunk = 0.5 * (clip.point("neck") + clip.point("pelvis"))[:, 2]
+    load = np.clip(GRAVITY + _smoothed(trunk, _SHAKE_S, clip.rate_hz, order=2), 0.0, _MOST_LOAD * GRAVITY)
+    load /= np.maximum(_MASS_HEIGHT * (trunk - np.percentile(clip.toes_w[..., 2], 10)), 0.5 * size)
+    return _Feet(place, np.gradient(place, 1.0 / clip.rate_hz, axis=0), rows, low, size, load)
+
+
+def _smoothed(values: Array, sigma_s: float, rate_hz: float, order: int = 0) -> Array:
+    """A Gaussian mean of (t, ...), or its derivative of that order."""
+    from scipy.ndimage import gaussian_filter1d
+
+    sigma = max(sigma_s * rate_hz, 0.5)
+    return np.asarray(gaussian_filter1d(values, sigma, axis=0, order=order, mode="nearest")) * rate_hz**order
 
 
 def _twist(feet: _Feet, rate_hz: float) -> Array:
@@ -108,7 +131,7 @@ def _twist(feet: _Feet, rate_hz: float) -> Array:
     slip = _SLIP * np.maximum(fastest, feet.size)[:, None]
     weight, twist = feet.low, np.zeros((len(feet.low), 3))
     for k in range(_ROUNDS):
-        twist = _smooth_fit(feet, weight, rate_hz)
+        twist = _smooth_fit(feet, weight, _pushed(feet, weight, rate_hz), rate_hz)
         ground = np.einsum("tfia,ta->tfi", feet.rows, twist)
         rest = ground + feet.velocity
         tolerated = slip * max(1.0, 3.0 - k / 3)  # wide at first: the swings still pull the solution
@@ -118,13 +141,25 @@ def _twist(feet: _Feet, rate_hz: float) -> Array:
     return twist
 
 
-def _smooth_fit(feet: _Feet, weight: Array, rate_hz: float) -> Array:
-    """The twist (t, 3) that makes weighted feet stand, with its changes at a price: a banded system."""
+def _pushed(feet: _Feet, weight: Array, rate_hz: float) -> Array:
+    """The quick part of the trunk's acceleration (t, 2) by the weighted feet, m/s²."""
+    weight = weight[..., None] + 1e-3
+    below = np.sum(weight * feet.place, axis=1) / np.sum(weight, axis=1)
+    pushed = -feet.load[:, None] * below
+    return pushed - _smoothed(pushed, _STRIDE_S, rate_hz)
+
+
+def _smooth_fit(feet: _Feet, weight: Array, pushed: Array, rate_hz: float) -> Array:
+    """The twist (t, 3) that makes weighted feet stand, with its changes, other than by `pushed` (t, 2), at a price: a
+    banded system."""
     from scipy.linalg import solveh_banded
 
     matrix = np.einsum("tf,tfia,tfib->tab", weight, feet.rows, feet.rows)
     right = -np.einsum("tf,tfia,tfi->ta", weight, feet.rows, feet.velocity)
-    price = (_SMOOTH_S * rate_hz) ** 2 * np.array([1.0, 1.0, feet.size**2])
+    price = (_SMOOTH_S * rate_hz) ** 2 * np.array([1.0, 1.0, _TURNS * feet.size**2])
+    change = price[:2] * 0.5 * (pushed[1:] + pushed[:-1]) / rate_hz
+    right[1:, :2] += change
+    right[:-1, :2] -= change
     matrix[:, [0, 1, 2], [0, 1, 2]] += 2.0 * price + np.maximum(1e-9, 1e-12 * price)  # also at 10 kHz definite
     matrix[[0, -1]] -= np.diag(price)  # which have one neighbour
     band = np.zeros((4, len(right), 3))  # the lower diagonals, frame by frame

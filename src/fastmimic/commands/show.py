@@ -137,7 +137,7 @@ def unmet_bounds(motion: Motion) -> list[str]:
 
 
 def describe_robot(robot: Robot) -> list[str]:
-    """A robot in words: what its legs, feet and joints are taken for, its limits and mass, and what was assumed."""
+    """A robot in ten lines: what its legs, feet and joints are taken for, its limits and mass, what was assumed."""
 
     def joints(values: Iterable[object]) -> str:
         return ", ".join(f"{name} {v}" for name, v in zip(JOINTS_PER_LEG, values, strict=False))
@@ -158,7 +158,7 @@ def describe_robot(robot: Robot) -> list[str]:
         f"speed      {joints(map('{:g}'.format, robot.joint_speed_limit))} rad/s",
         f"stands     {robot.home_height:.3f} m high, front knees point {bends[0]}, hind ones {bends[1]}",
         f"turned     {', '.join(turned) or 'none'} (joints about the opposite axis in the file)",
-        *(f"assumed    {sentence}" for sentence in robot.assumed),
+        f"assumed    {'; '.join(robot.assumed) or 'nothing'}",
     ]
 
 

@@ -45,13 +45,13 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     header = table.header if table.header is not None and names_joints(table.header) else None
     columns, names = _columns(header)
     largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
-    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest)
+    unused = [c for c in range(len(names)) if c not in columns and names[c] not in _TIME_NAMES]
+    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest, unused=unused)
     rate, assumed = _rate(table, names, values, fps)
     if header is None:
         assumed.append("columns are root x y z, quaternion x y z w, then joints " + ", ".join(JOINT_NAMES))
-    extra = [names[c] for c in range(len(names)) if c not in columns and names[c] not in _TIME_NAMES]
-    if extra:
-        assumed.append("columns that are not used: " + ", ".join(extra))
+    if unused:
+        assumed.append("columns that are not used: " + ", ".join(names[c] for c in unused))
     motion = values[:, columns]
     _check_radians(motion[:, 7:], lambda i: f"line {table.rows[i].number}", [names[c] for c in columns[7:]])
     return _clip_of(motion, rate, robot, assumed, lambda i: f"line {table.rows[i].number} (frame {i})")

@@ -4,7 +4,7 @@
   Zhang et al. (2018) like this: y up, right-handed, 60 frames a second.
 - Points by name: a header with three columns a point, NAME_x (or `NAME.x`, `NAME:X`, `NAME x`, `NameX`), NAME_y and
   NAME_z, as tracking programs export them, also from C3D; an empty field or NaN is a gap. A column `time` gives the
-  frame rate; `frame` is ignored.
+  frame rate; others are ignored, whatever is in them.
 """
 
 import re
@@ -46,9 +46,10 @@ def read_named(text: str) -> Tracks:
     header = [name.strip().strip('"') for name in table.header]
     points = _named_points(header)
     gaps = {column for columns in points.values() for column in columns}
-    unread: list[str] = []
-    values = to_array(table.rows, len(header), header.__getitem__, "keypoints by name", gaps=gaps, unread=unread)
     time = next((column for column, name in enumerate(header) if name.lower() in _TIMES), None)
+    unused, unread = set(range(len(header))) - gaps - {time}, list[str]()
+    what = "keypoints by name"
+    values = to_array(table.rows, len(header), header.__getitem__, what, gaps=gaps, unread=unread, unused=unused)
     positions = np.stack([values[:, columns] for columns in points.values()], axis=1)
     times = None if time is None else (header[time], values[:, time])
     return Tracks(list(points), positions, times=times, notes=tuple(unread))

@@ -4,7 +4,8 @@ says its frame rate. The unit is that of the calibration board, the axes are tho
 - DeepLabCut, and Lightning Pose in the same form: columns are named in lines of their own, `scorer`, `bodyparts` and
   `coords`, with several animals also `individuals`. Points of a picture have x, y and likelihood: they are refused.
 - Anipose: for each point NAME_x, NAME_y, NAME_z, NAME_error, NAME_ncams and NAME_score; then the rotation M_00 to M_22
-  and the centre of the axes that its settings name, if they do, and the frame's number `fnum`.
+  and the centre of the axes that its settings name, if they do, and the frame's number `fnum`. An error, in pixels,
+  that is far above the others is an outlier's. Columns of nothing that is known are not looked at, as in DeepLabCut's.
 - HDF5: DeepLabCut's data frame, and the tracks of SLEAP and sleap-anipose. h5py reads them all; pandas and PyTables,
   which wrote the first, would read that alone.
 - C3D, the markers of motion capture (c3d.org): labels, unit and rate are in the file; a marker that was not seen has a
@@ -29,6 +30,9 @@ Column = tuple[str, str, str]
 """Individual (empty if the file names none), point, and coordinate: x, y, z or likelihood."""
 _ROTATION: Final = [f"M_{i}{j}" for i in range(3) for j in range(3)]
 ANIPOSE: Final = {"fnum", *_ROTATION}  # among its columns
+_READ: Final = ("x", "y", "z", "likelihood", "error")
+_LARGEST_ERROR_PX: Final = 25.0  # between views of one point; but with a poor calibration, all are large
+_TIMES_THE_USUAL: Final = 5.0
 
 
 def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = False, notes: Sequence[str] = ()) -> Tracks:
@@ -39,13 +43,17 @@ def tracks_of(columns: Sequence[Column], values: Array, *, is_level: bool = Fals
     individuals = list(dict.fromkeys(column[0] for column in columns))
     place = {column: i for i, column in enumerate(columns)}
     padded = np.column_stack([values, np.full(len(values), np.nan)])  # the last is that of a column that is not there
-    read = ("x", "y", "z", "likelihood")
-    at = [[[place.get((who, name, what), -1) for what in read] for name in names] for who in individuals]
-    found = np.moveaxis(padded[:, np.array(at)], 0, 1)  # (individuals, t, points, 4)
+    at = [[[place.get((who, name, what), -1) for what in _READ] for name in names] for who in individuals]
+    found = np.moveaxis(padded[:, np.array(at)], 0, 1)  # (individuals, t, points, 5)
     best, several = most_complete(individuals, found[..., :3])
-    likelihood = found[best, ..., 3]
+    positions, likelihood, error = found[best, ..., :3], found[best, ..., 3], found[best, ..., 4]
     confidence = None if np.isnan(likelihood).all() else likelihood
-    return Tracks(names, found[best, ..., :3], confidence=confidence, is_level=is_level, notes=(*notes, *several))
+    known = error[np.isfinite(error)]
+    largest = max(_LARGEST_ERROR_PX, _TIMES_THE_USUAL * float(np.median(known))) if len(known) else np.inf
+    if (astray := error > largest).any():
+        positions = np.where(astray[..., None], np.nan, positions)
+        several = (*several, f"{astray.sum()} points with a reprojection error above {largest:.0f} px are left out")
+    return Tracks(names, positions, confidence=confidence, is_level=is_level, notes=(*notes, *several))
 
 
 def read_deeplabcut(text: str) -> Tracks:
@@ -58,8 +66,10 @@ def read_deeplabcut(text: str) -> Tracks:
         raise ClipError(f"its first {end} lines, which name the columns, have different numbers of columns")
     columns = list(zip(individuals, labels["bodyparts"], labels["coords"], strict=True))
     shown = ["frame", *(" ".join(column).strip() for column in columns)]
-    gaps, unread = range(1, len(shown)), list[str]()
-    values = to_array(rows[end:], len(shown), shown.__getitem__, "DeepLabCut", gaps=gaps, unread=unread)
+    unread: list[str] = []
+    unused = [i for i, coordinate in enumerate(["", *labels["coords"]]) if coordinate not in _READ]
+    gaps = range(1, len(shown))
+    values = to_array(rows[end:], len(shown), shown.__getitem__, "DeepLabCut", gaps=gaps, unread=unread, unused=unused)
     return tracks_of(columns, values[:, 1:], notes=unread)
 
 
@@ -68,10 +78,11 @@ def read_anipose(text: str) -> Tracks:
     table = read_table(text)
     header = table.header or []
     columns = [("", *name.rpartition("_")[::2]) for name in header]
-    gaps = [i for i, (_, name, _) in enumerate(columns) if name not in ("", "M", "center")]
+    gaps = [i for i, (_, _, what) in enumerate(columns) if what in (*_READ, "score")]
     largest = [np.inf if what == "error" else 1e6 for _, _, what in columns]
+    unused = set(range(len(columns))) - {*gaps, *map(header.index, ANIPOSE)}
     unread: list[str] = []
-    values = to_array(table.rows, len(header), header.__getitem__, "Anipose", largest, gaps, unread)
+    values = to_array(table.rows, len(header), header.__getitem__, "Anipose", largest, gaps, unread, unused)
     frame = np.rint(values[:, header.index("fnum")]).astype(int)
     if (np.diff(frame) < 1).any() or frame[-1] - frame[0] >= 2 * len(frame):
         raise ClipError("the frames' numbers (fnum) do not grow, or more than half of the frames are missing")

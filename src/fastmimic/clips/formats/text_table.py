@@ -72,19 +72,23 @@ def to_array(
     largest: float | Sequence[float] = LARGEST,
     gaps: Collection[int] = (),
     unread: list[str] | None = None,
+    unused: Collection[int] = (),
 ) -> NDArray[np.float64]:
     """The values of all rows, (rows, columns). `column_name` gives the name of a 0-based column and `what` the format,
     for messages; `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be
-    NaN or empty. Raises `ClipError`, with line and column: wrong number of columns, or a value that is not a finite,
-    sensible number; and for too few rows. With a list `unread`, such lines are NaN in `gaps` and go on from their
-    neighbours elsewhere, and a sentence on them is added to the list; more than half are an error."""
+    NaN or empty; what is in the columns `unused` is not looked at, and NaN. Raises `ClipError`, with line and column:
+    wrong number of columns, or a value that is not a finite, sensible number; and for too few rows. With a list
+    `unread`, such lines are NaN in `gaps` and go on from their neighbours elsewhere, and a sentence on them is added to
+    the list; more than half are an error."""
     from scipy.interpolate import interp1d
 
     values, most = np.full((len(rows), columns), np.nan), np.broadcast_to(largest, columns)
+    may_lack = np.isin(np.arange(columns), [*gaps, *unused])
     problems: dict[int, ClipError] = {}
     for i, row in enumerate(rows):
         try:
-            values[i] = _numbers(row, columns, column_name, what, i == len(rows) - 1 and i > 0, most, gaps)
+            is_last = i == len(rows) - 1 and i > 0
+            values[i] = _numbers(row, columns, column_name, what, is_last, most, may_lack, unused)
         except ClipError as error:
             if unread is None:
                 raise
@@ -96,7 +100,7 @@ def to_array(
         said = "1 line that cannot" if len(problems) == 1 else f"{len(problems)} lines that cannot"
         unread.append(f"{said} be read: as missing frames (the first: {first})")
         read = np.setdiff1d(np.arange(len(rows)), list(problems))
-        others = np.setdiff1d(np.arange(columns), list(gaps))
+        others = np.flatnonzero(~may_lack)
         if len(read) > 1:
             between = interp1d(read, values[read][:, others], axis=0, fill_value="extrapolate")
             values[:, others] = between(np.arange(len(rows)))
@@ -111,14 +115,18 @@ def _numbers(
     what: str,
     is_last: bool,
     largest: NDArray[np.float64],
-    gaps: Collection[int],
+    may_lack: NDArray[np.bool_],
+    unused: Collection[int],
 ) -> NDArray[np.float64]:
     number, fields = row
     if len(fields) != columns:
         last = "; the last line: the file may be truncated" if is_last else ""
         raise ClipError(f"line {number} has {len(fields)} columns; expected {columns} ({what}){last}")
-    if gaps:
-        fields = ["nan" if c in gaps and not field.strip() else field for c, field in enumerate(fields)]
+    fields = list(fields)
+    for c in unused:
+        fields[c] = "nan"
+    if not all(map(str.strip, fields)):
+        fields = ["nan" if may and not field.strip() else field for may, field in zip(may_lack, fields, strict=True)]
     try:
         if "_" in "".join(fields):  # Python reads 1_0 as ten
             raise ValueError
@@ -127,10 +135,11 @@ def _numbers(
         bad = next(c for c, field in enumerate(fields) if "_" in field or not is_number(field))
         where, found = f"line {number}, column {bad + 1} ({column_name(bad)})", fields[bad].strip()[:20]
         raise ClipError(f"{where}: '{found}' is not a number") from None
-    for c in np.flatnonzero(~(np.abs(values) <= largest)):
-        if not (c in gaps and np.isnan(values[c])):
-            problem = "too large" if np.isfinite(values[c]) else "not finite"
-            raise ClipError(f"line {number}, column {c + 1} ({column_name(int(c))}): {values[c]:g} is {problem}")
+    wrong = ~((np.abs(values) <= largest) | (may_lack & np.isnan(values)))
+    if wrong.any():
+        c = int(np.argmax(wrong))
+        problem = "too large" if np.isfinite(values[c]) else "not finite"
+        raise ClipError(f"line {number}, column {c + 1} ({column_name(c)}): {values[c]:g} is {problem}")
     return values
 
 
