@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.errors import MotionError, check_positive
 from fastmimic.base.jit import kernel
 
 LEAST_SAMPLES: Final = 4
@@ -217,8 +217,7 @@ def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) 
     """A copy of the samples (t, d); `what` names them in messages. Raises `MotionError` for fewer than 4 samples or a
     value that is not finite, and `ConfigError` for a setting that is not positive."""
     for name, value in settings.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ConfigError(f"{name} must be positive, found {value}")
+        check_positive(value, name)
     y = np.array(samples, dtype=np.float64)
     if y.ndim != 2 or len(y) < LEAST_SAMPLES:
         raise MotionError(f"a DMP of {what} needs at least {LEAST_SAMPLES} samples, found shape {y.shape}")

@@ -45,7 +45,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     header = table.header if table.header is not None and names_joints(table.header) else None
     columns, names = _columns(header)
     largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
-    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest)
+    values = to_array(table.rows, names, "retargeted motion", largest)
     rate, assumed = _rate(table, names, values, fps)
     if header is None:
         assumed.append("columns are root x y z, quaternion x y z w, then joints " + ", ".join(JOINT_NAMES))
