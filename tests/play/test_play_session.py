@@ -121,7 +121,7 @@ def test_a_push_by_hand_adds_to_those_of_a_disturbance(a1: Robot, library: Motio
 def test_a_push_changes_the_velocity(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start=IN_PLACE)
     session.run(0.5)
-    period = session.library.entry(IN_PLACE).motion.n_samples
+    period = session.library.entries[IN_PLACE].motion.n_samples
 
     def velocities() -> np.ndarray:
         found = []
@@ -194,7 +194,7 @@ def test_from_its_back_it_gets_up_in_place_facing_the_same_way(a1: Robot, librar
     assert np.linalg.norm(after[:2] - before[:2]) < 0.6
     assert np.all(np.isfinite(after))
     assert session.snapshot().reward > 0.9
-    assert after[2] == pytest.approx(library.entry(STAND).motion.root_pos_w[0, 2], abs=0.03)
+    assert after[2] == pytest.approx(library.entries[STAND].motion.root_pos_w[0, 2], abs=0.03)
 
 
 def test_the_controller_changes_while_it_runs(a1: Robot, library: MotionSet) -> None:

@@ -40,9 +40,10 @@ class Entry:
 
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
-    both are always there. Raises `MotionError` for a motion that does not repeat, or is for another robot or rate. The
-    processes of `executor` make transitions in the background, and load the robot from `source`, a file or by default
-    the robot's name; without it they are made when they are needed. `regulator` is the controller's."""
+    both are always there, all in `entries`. Raises `MotionError` for a motion that does not repeat, or is for another
+    robot or rate. The processes of `executor` make transitions in the background, and load the robot from `source`, a
+    file or by default the robot's name; without it they are made when they are needed. `regulator` is the
+    controller's."""
 
     def __init__(
         self,
@@ -67,10 +68,6 @@ class MotionSet:
     def names(self) -> tuple[str, ...]:
         """The names in the order of display."""
         return tuple(self.entries)
-
-    def entry(self, name: str) -> Entry:
-        """A motion; raises `ConfigError` for an unknown name."""
-        return self.entries[name]
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
         """The next motion on the way from `now` to `goal` and the transition to it; None while that is being made.
@@ -100,13 +97,13 @@ class MotionSet:
 
     def _stands(self, name: str) -> bool:
         """Whether no foot ever lifts off."""
-        return bool(self.entry(name).motion.contact.all())
+        return bool(self.entries[name].motion.contact.all())
 
     def _future(self, before: str, after: str) -> Future[CourseTransition | None]:
         key = (before, after)
         known = self._transitions.get(key)
         if known is None or (known.done() and isinstance(known.exception(), BrokenExecutor)):
-            a, b = self.entry(before).motion, self.entry(after).motion
+            a, b = self.entries[before].motion, self.entries[after].motion
             self._transitions[key] = self._made(make_course_transition, a, b, self._regulator)
         return self._transitions[key]
 
@@ -164,7 +161,7 @@ class LiveReference:
         self._transition: CourseTransition | None = None
         self._armed: tuple[str, CourseTransition] | None = None
         self.trouble: str | None = None
-        self._entry = self._following = library.entry(start)
+        self._entry = self._following = library.entries[start]
         self.goal = start
 
     @property
@@ -184,13 +181,13 @@ class LiveReference:
 
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
-        self._library.entry(name)
+        _ = self._library.entries[name]
         self.goal, self.trouble = name, None
         self._disarm()
 
     def begin(self, name: str, pose: Array, row: int = 0) -> None:
         """Starts a motion at a row of its course and a pose (3,) of its root: x, y, yaw, world, m and rad."""
-        self._entry = self._library.entry(name)
+        self._entry = self._library.entries[name]
         self.put(*pose)
         self.place["position"] = row
 
@@ -256,7 +253,7 @@ class LiveReference:
             return
         assert self._armed is not None
         name, self._transition = self._armed
-        self._following = self._library.entry(name)
+        self._following = self._library.entries[name]
         self._armed = None
         self.place["exit"], self.place["entry"] = self._transition.last, self._transition.arrive
 
