@@ -14,7 +14,15 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import CourseTransition, Stream, course_of, make_course_transition, make_place
+from fastmimic.reference.course import (
+    CourseTransition,
+    advance_place,
+    course_of,
+    fill_table,
+    make_course_transition,
+    make_place,
+    make_work,
+)
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import STAND, standing
@@ -156,7 +164,7 @@ class LiveReference:
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
         self._library = library
-        self._stream = Stream(robot, rate_hz)
+        self._work, self._scratch = make_work(robot, 1.0 / rate_hz), make_place()
         self.place = make_place()
         self._transition: CourseTransition | None = None
         self._armed: tuple[str, CourseTransition] | None = None
@@ -204,7 +212,8 @@ class LiveReference:
 
     def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
         """Fills rows of `SAMPLE` with the reference from now on; if `scored`, with the demonstration."""
-        self._stream.fill(*self._courses(scored), self.place, rows)
+        self._scratch[0] = self.place[0]
+        fill_table(*self._courses(scored), self._scratch[0], self._work[0], rows)
 
     @property
     def demonstration(self) -> Motion:
@@ -218,7 +227,7 @@ class LiveReference:
 
     def advance(self, base_xy: Array, haste: float = 0.0) -> None:
         """Advances by a control step that ended with the base at (2,), world, m; `haste` is the controller's."""
-        self._stream.advance(*self._courses(), self.place, base_xy, haste)
+        advance_place(*self._courses(), self.place[0], 1.0 + max(haste, 0.0), True, base_xy[0], base_xy[1])
         if self.place["left"][0]:
             self._arrived()
 
