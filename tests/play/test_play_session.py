@@ -216,7 +216,7 @@ def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1
     amplitude[list(FOOT_Z)] = 1.3
     optimised = dmp.motion(amplitude=amplitude)
     session = LiveSession(a1, {"optimised": optimised}, start="optimised")
-    entry = session.library.entry("optimised")
+    entry = session.library.entries["optimised"]
     lifted = entry.course["foot"][..., 2].max() - entry.demonstration["foot"][..., 2].max()
     assert lifted > 0.005
     own = course_of(trot, a1)
