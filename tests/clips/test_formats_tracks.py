@@ -15,7 +15,7 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
 from fastmimic.clips.formats.gaps import LEAST_CONFIDENCE
-from fastmimic.clips.formats.pose_table import _Labels
+from fastmimic.clips.formats.keypoints import _Labels
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import load_robot
 

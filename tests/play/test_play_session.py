@@ -17,7 +17,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.play.page import MOST_BEHIND_S, Pacer
 from fastmimic.play.session import DEFAULTS, LiveSession, load_motions, playable_methods
 from fastmimic.primitive import FOOT_Z, MotionDmp
-from fastmimic.reference.course import Stream, course_of, make_place
+from fastmimic.reference.course import advance_place, course_of, fill_table, make_place, make_work
 from fastmimic.reference.motion_set import IN_PLACE, MotionSet
 from fastmimic.reference.standing import STAND
 from fastmimic.reference.table import SAMPLE, reference_table
@@ -56,11 +56,11 @@ def mean_velocity(session: LiveSession, seconds: float) -> tuple[float, float, f
 @pytest.mark.nojit
 def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion) -> None:
     course, table = course_of(trot, a1), reference_table(trot, a1)
-    stream, place, row = Stream(a1, trot.rate_hz), make_place(), np.zeros(1, SAMPLE)
+    work, place, row = make_work(a1, trot.dt), make_place(), np.zeros(1, SAMPLE)
     place["pose"][0, 2] = yaw_from_quat(table["root_quat"][0])
     place["pose"][0, :2] = table["root_pos"][0, :2]
     for sample in range(trot.n_samples // 2 + 20):  # beyond half a cycle every foot has lifted off and landed
-        stream.fill(course, course, place, row)
+        fill_table(course, course, place.copy()[0], work[0], row)
         want, pose = table[sample], place["pose"][0]
         np.testing.assert_allclose(pose[:2], want["root_pos"][:2], atol=1e-9)
         quat = quat_multiply(quat_from_yaw(pose[2]), row["root_quat"][0])
@@ -71,7 +71,7 @@ def test_left_alone_the_stream_is_the_motions_own_table(a1: Robot, trot: Motion)
         np.testing.assert_allclose(row["foot_pos"][0], want["foot_pos"], atol=1e-6)
         np.testing.assert_allclose(row["joint_pos"][0], want["joint_pos"], atol=1e-5)
         np.testing.assert_array_equal(row["contact"][0], want["contact"])
-        stream.advance(course, course, place, np.zeros(2))
+        advance_place(course, course, place[0], 1.0, True, 0.0, 0.0)
 
 
 def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library: MotionSet) -> None:
@@ -121,7 +121,7 @@ def test_a_push_by_hand_adds_to_those_of_a_disturbance(a1: Robot, library: Motio
 def test_a_push_changes_the_velocity(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start=IN_PLACE)
     session.run(0.5)
-    period = session.library.entry(IN_PLACE).motion.n_samples
+    period = session.library.entries[IN_PLACE].motion.n_samples
 
     def velocities() -> np.ndarray:
         found = []
@@ -194,7 +194,7 @@ def test_from_its_back_it_gets_up_in_place_facing_the_same_way(a1: Robot, librar
     assert np.linalg.norm(after[:2] - before[:2]) < 0.6
     assert np.all(np.isfinite(after))
     assert session.snapshot().reward > 0.9
-    assert after[2] == pytest.approx(library.entry(STAND).motion.root_pos_w[0, 2], abs=0.03)
+    assert after[2] == pytest.approx(library.entries[STAND].motion.root_pos_w[0, 2], abs=0.03)
 
 
 def test_the_controller_changes_while_it_runs(a1: Robot, library: MotionSet) -> None:
@@ -216,7 +216,7 @@ def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1
     amplitude[list(FOOT_Z)] = 1.3
     optimised = dmp.motion(amplitude=amplitude)
     session = LiveSession(a1, {"optimised": optimised}, start="optimised")
-    entry = session.library.entry("optimised")
+    entry = session.library.entries["optimised"]
     lifted = entry.course["foot"][..., 2].max() - entry.demonstration["foot"][..., 2].max()
     assert lifted > 0.005
     own = course_of(trot, a1)

@@ -8,7 +8,7 @@ import pytest
 from fastmimic.base.errors import ConfigError
 from fastmimic.simulation.conditions import (
     Range,
-    check_once,
+    draw_uniform,
     make_world,
     other_ranges,
     other_robots,
@@ -82,4 +82,4 @@ def test_ranges_that_cannot_be_are_refused(text: str, message: str, monkeypatch:
 
 def test_two_ranges_of_one_disturbance_are_refused() -> None:
     with pytest.raises(ConfigError, match="the range of 'friction' is given twice"):
-        check_once([usual_range("friction"), Range("friction", 0.4, 1.0)])
+        draw_uniform([usual_range("friction"), Range("friction", 0.4, 1.0)], 1, np.random.default_rng(0))

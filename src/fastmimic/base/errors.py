@@ -5,6 +5,7 @@ exits with status 2; any other exception that reaches the user is a bug.
 """
 
 import difflib
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
@@ -73,6 +74,14 @@ def unknown(what: str, name: str, names: Iterable[str], error: type[FastMimicErr
     """The error for an unknown name; it lists the known ones."""
     names = list(names)
     return error(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
+
+
+def check_positive(
+    value: float, what: str, error: type[FastMimicError] = ConfigError, shown: str | None = None
+) -> None:
+    """Raises `error` unless a value is positive and finite; `shown` is it with its unit, for the message."""
+    if not (math.isfinite(value) and value > 0):
+        raise error(f"{what} must be positive, found {value if shown is None else shown}")
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import functools
 import gc
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,14 +21,10 @@ def kernel(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
     return _stale_with_callees(njit(**options | lean | changed)(function))
 
 
-def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Like `kernel`, for small functions that LLVM should inline into their callers."""
-    return kernel(function, forceinline=True)
-
-
-def object_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Like `kernel`, for functions that call Python (`numba.objmode`)."""
-    return kernel(function, _nrt=True)
+inlined: Final = functools.partial(kernel, forceinline=True)
+"""Like `kernel`, for small functions that LLVM should inline into their callers."""
+object_kernel: Final = functools.partial(kernel, _nrt=True)
+"""Like `kernel`, for functions that call Python (`numba.objmode`)."""
 
 
 @functools.cache
@@ -58,18 +54,13 @@ def record_dtype(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
-def floats(**shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
-    """Fields of a record with real numbers, each by name with its shape: a length, or () for one number."""
-    return _fields("f8", shapes)
-
-
-def integers(**shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
-    """Fields of a record with whole numbers, as `floats`."""
-    return _fields("i8", shapes)
-
-
-def _fields(kind: str, shapes: dict[str, int | tuple[int, ...]]) -> list[tuple[Any, ...]]:
+def _fields(kind: str, /, **shapes: int | tuple[int, ...]) -> list[tuple[Any, ...]]:
+    """Fields of a record, each by name with its shape: a length, or () for one number."""
     return [(name, kind, (shape,) if isinstance(shape, int) else shape) for name, shape in shapes.items()]
+
+
+floats: Final = functools.partial(_fields, "f8")  # of real numbers
+integers: Final = functools.partial(_fields, "i8")  # of whole numbers
 
 
 def depends_on(compiled: Callable[..., Any], *files: str) -> None:

@@ -43,10 +43,9 @@ def parse_frames(text: str, where: str) -> tuple[int, int]:
 
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
-    rows = [
-        MotionRow(name, spec.about, _speed(spec), "built in", BUILT_IN_LICENCE, True) for name, spec in GAITS.items()
-    ]
-    rows += [MotionRow(name, spec.about, "–", "built in", BUILT_IN_LICENCE, True) for name, spec in JUMPS.items()]
+    built = [(name, spec.about, _speed(spec)) for name, spec in GAITS.items()]
+    built += [(name, spec.about, "–") for name, spec in JUMPS.items()]
+    rows = [MotionRow(*row, "built in", BUILT_IN_LICENCE, True) for row in built]
     for name, motion in RECORDED.items():
         fetched = find_file(motion.dataset, motion.file, folder) is not None
         licence = DATASETS[motion.dataset].licence

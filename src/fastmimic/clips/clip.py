@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.conventions import LARGEST, LEGS
-from fastmimic.base.errors import ClipError
+from fastmimic.base.errors import ClipError, check_positive
 from fastmimic.base.files import packaged
 
 
@@ -91,8 +91,7 @@ class Clip:
         if (wrong := ~(np.abs(self.points_w) <= LARGEST)).any():
             frame = int(np.argwhere(wrong)[0][0])
             raise ClipError(f"frame {frame} holds a value that is not finite, or beyond {LARGEST:g} m")
-        if not (np.isfinite(self.rate_hz) and self.rate_hz > 0):
-            raise ClipError(f"frame rate must be positive, found {self.rate_hz}")
+        check_positive(self.rate_hz, "frame rate", ClipError)
         if self.root_quat_wxyz is not None and self.root_quat_wxyz.shape != (shape[0], 4):
             raise ClipError(f"trunk quaternions have shape {self.root_quat_wxyz.shape}; expected ({shape[0]}, 4)")
         if self.drawn_w.shape != (drawn := (shape[0], self.skeleton.points, 3)):

@@ -114,10 +114,9 @@ def control_step(
                 _take_over(config, ref, memory, scratch)
         body_frame(ref, scratch)
         estimate_disturbance(config, obs, memory, scratch)
-        height_error = scratch.error[2]
         for leg in range(4):
             if plan_leg(config, memory, leg, ref.contact[leg] == 1, ref.swung[leg], obs.foot_force[leg, 2]):
-                lift_off(config, ref, memory, scratch, leg, height_error)
+                lift_off(config, ref, memory, scratch, leg)
         feel_slides(config, model, obs, memory, scratch)
         regulate(config, ref, gain, memory, scratch)
         planned = False
@@ -133,7 +132,7 @@ def control_step(
             if memory.stance[leg] == 1:
                 stance_leg(config, model, obs, memory, command, scratch, leg, solved)
             else:
-                swing_leg(config, model, obs, ref, memory, command, scratch, leg, height_error)
+                swing_leg(config, model, obs, ref, memory, command, scratch, leg)
             add_leg_dynamics(config, model, obs, memory, command, scratch, leg)
             finish_leg(config, model, command, leg)
         if memory.recovering > 0:
@@ -149,7 +148,7 @@ def _take_over(config: Any, ref: Any, memory: Any, scratch: Any) -> None:
     """Takes feet in the air as they are, when the reference changes."""
     for leg in range(4):
         if memory.stance[leg] == 0:
-            lift_off(config, ref, memory, scratch, leg, scratch.error[2])
+            lift_off(config, ref, memory, scratch, leg)
         memory.early[leg] = 0
         for a in range(2):
             memory.lag[leg, a] = 0.0
@@ -246,13 +245,11 @@ class Controller:
         self._recovers: Motion | None = None
         self.recover_with(motions[0])
         ahead = self._config["horizon"][0] == 1
-        self._work = WorkMemory(
-            qp=make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS),
-            plan_qp=make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS) if ahead else None,
-            scratch=np.zeros(1, SCRATCH),
-            foresight=np.zeros(1, FORESIGHT) if ahead else None,
-        )
-        self._work.scratch["uphill"][:, 2] = GRAVITY  # on level ground
+        plan_qp = make_workspace(HORIZON_VARIABLES, HORIZON_CONSTRAINTS) if ahead else None
+        foresight = np.zeros(1, FORESIGHT) if ahead else None
+        qp, scratch = make_workspace(MAX_VARIABLES, MAX_CONSTRAINTS), np.zeros(1, SCRATCH)
+        self._work = WorkMemory(qp, plan_qp, scratch, foresight)
+        scratch["uphill"][:, 2] = GRAVITY  # on level ground
 
     def recover_with(self, motion: Motion | None) -> None:
         """Takes recovery steps from now on as they fit a motion; none at all if None."""

@@ -50,7 +50,7 @@ def stance_leg(
 
 
 @inlined
-def swing_target(config: Any, ref: Any, scratch: Any, height_error: float, leg: int, out: Array) -> None:
+def swing_target(config: Any, ref: Any, scratch: Any, leg: int, out: Array) -> None:
     """Reference foot in the robot's body frame, levelled to gravity and ground by the factor `config.level`."""
     rotation, reference_rotation = scratch.rotation, scratch.reference_rotation
     x, y, z = ref.foot_pos[leg, 0], ref.foot_pos[leg, 1], ref.foot_pos[leg, 2]
@@ -59,7 +59,7 @@ def swing_target(config: Any, ref: Any, scratch: Any, height_error: float, leg: 
     yaw = np.arctan2(reference_rotation[1, 0], reference_rotation[0, 0])
     cy, sy = np.cos(yaw), np.sin(yaw)
     hx, hy = cy * hx + sy * hy, -sy * hx + cy * hy
-    hz += height_error
+    hz += scratch.error[2]
     lx, ly, lz = turned_back(rotation, hx, hy, hz)
     out[0] = x + config.level * (lx - x)
     out[1] = y + config.level * (ly - y)
@@ -67,17 +67,17 @@ def swing_target(config: Any, ref: Any, scratch: Any, height_error: float, leg: 
 
 
 @inlined
-def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_error: float) -> None:
+def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int) -> None:
     """Stores where a foot leaves the ground, body frame: its offset from the reference, or the start of its path."""
     foot, target = scratch.feet[leg], scratch.foot_target
     if config.foothold == RAIBERT:
         rotation = scratch.rotation
         for k in range(3):
             level = rotation[k, 0] * foot[0] + rotation[k, 1] * foot[1] + rotation[k, 2] * foot[2]
-            level -= height_error if k == 2 else 0.0
+            level -= scratch.error[2] if k == 2 else 0.0
             memory.liftoff_offset[leg, k] = foot[k] + config.level * (level - foot[k])
         return
-    swing_target(config, ref, scratch, height_error, leg, target)
+    swing_target(config, ref, scratch, leg, target)
     for k in range(3):
         memory.liftoff_offset[leg, k] = foot[k] - target[k]
     if config.foothold == REGULATED:  # x and y are the regulator's
@@ -92,7 +92,7 @@ def lift_off(config: Any, ref: Any, memory: Any, scratch: Any, leg: int, height_
 
 @inlined
 def raibert_path(
-    config: Any, model: Any, ref: Any, memory: Any, scratch: Any, leg: int, share: float, height_error: float
+    config: Any, model: Any, ref: Any, memory: Any, scratch: Any, leg: int, share: float
 ) -> tuple[float, float, float]:
     """Joint angles at a share of the straight path to the Raibert foothold (Kang et al. 2021; paper, §IV-B). The path
     leads from lift-off to 0.5 T_s v − K (v̄ − v) from under the hip, on the ground: x and y linear in time, z over a
@@ -105,25 +105,23 @@ def raibert_path(
     x = start[0] + share * (x - start[0])
     y = start[1] + share * (y - start[1])
     z = start[2] + share * (z - start[2]) + 4.0 * config.swing_height * share * (1.0 - share)
-    hz = z + height_error
+    hz = z + scratch.error[2]
     lx, ly, lz = turned_back(rotation, x, y, hz)
     a, h, k, _ = leg_inverse(g, x + config.level * (lx - x), y + config.level * (ly - y), z + config.level * (lz - z))
     return a, h, k
 
 
 @inlined
-def raibert_leg(
-    config: Any, model: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
-) -> None:
+def raibert_leg(config: Any, model: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int) -> None:
     """Moves a leg to the Raibert foothold, holding it after T_s until contact; independent of the animal."""
     share = min(memory.since_switch[leg] / config.swing_time, 1.0)
     step = config.dt / config.swing_time
-    a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share, height_error)
+    a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share)
     j = 3 * leg
     command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
     if share < 1.0:
-        a0, h0, k0 = raibert_path(config, model, ref, memory, scratch, leg, share - step, height_error)
-        a1, h1, k1 = raibert_path(config, model, ref, memory, scratch, leg, share + step, height_error)
+        a0, h0, k0 = raibert_path(config, model, ref, memory, scratch, leg, share - step)
+        a1, h1, k1 = raibert_path(config, model, ref, memory, scratch, leg, share + step)
     else:
         a0, h0, k0 = a, h, k
         a1, h1, k1 = a, h, k
@@ -157,9 +155,7 @@ def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Ar
 
 
 @inlined
-def swing_leg(
-    config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int, height_error: float
-) -> None:
+def swing_leg(config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int) -> None:
     """The reference's foot, shifted by the regulator, and as fast as that shifts it, or shifted by −K (v̄ − v) (paper,
     eq. 3), by inverse kinematics."""
     for j in range(3 * leg, 3 * leg + 3):
@@ -167,10 +163,10 @@ def swing_leg(
         command.damping[j] = config.swing_kd
         command.torque[j] = 0.0
     if config.foothold == RAIBERT:
-        raibert_leg(config, model, ref, memory, command, scratch, leg, height_error)
+        raibert_leg(config, model, ref, memory, command, scratch, leg)
         return
     target = scratch.foot_target
-    swing_target(config, ref, scratch, height_error, leg, target)
+    swing_target(config, ref, scratch, leg, target)
     if config.foothold == REGULATED:
         for k in range(3):
             for a in range(2):

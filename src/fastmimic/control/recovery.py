@@ -27,7 +27,7 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.base.vectors import heading_of, quat_to_matrix, turn_rows
-from fastmimic.motion.ground import differentiate, pad
+from fastmimic.motion.limits import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import GAINS, motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig

@@ -210,7 +210,7 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
         leaves = max(0, (leaves + ahead) % n - ahead)
         ends = last_shift + leaves
         text = _passage(motion, arrive, ends)
-    stand = np.array(library.entry(STAND).motion.joint_pos[0])
+    stand = np.array(library.entries[STAND].motion.joint_pos[0])
     return MotionSequence(motion, text, table, own, arrive, ends, library, start, enters, end, leaves, stand, ahead)
 
 
@@ -225,7 +225,7 @@ def _passage(motion: Motion, first: int, last: int) -> str:
 
 def _standing_joints(library: MotionSet, motion: Motion) -> Array:
     """Those of standing (12,), rad; raises `MotionError` if a standing motion does not begin and end there."""
-    stand = library.entry(STAND).motion.joint_pos[0]
+    stand = library.entries[STAND].motion.joint_pos[0]
     off = float(np.abs(motion.joint_pos[[0, -1]] - stand).max())
     if off > _SAME_POSTURE:
         said = f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the standing posture"

@@ -169,7 +169,7 @@ class ClosedLoop:
         if observer is None:
             self._seen = self._truth = self.simulation.step(commands)
         else:
-            self._truth = self.simulation.step(observer.to_motors(commands))
+            self._truth = self.simulation.step(observer.sensors.to_motors(commands))
             self._seen = observer.look(self._truth, controller.memory, controller.tables)
 
     def score(self) -> None:

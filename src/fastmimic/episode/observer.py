@@ -88,10 +88,6 @@ class Observer:
         generators = [episode_generator(self._seed, int(e), _SENSORS) for e in episodes]
         return self.estimator.reset(self.sensors.reset(generators, truth), starts, planned)
 
-    def to_motors(self, commands: Records) -> Records:
-        """The controller's commands (n,) of `COMMAND` as the motors take them."""
-        return self.sensors.to_motors(commands)
-
     def look(self, truth: Records, memory: Records, tables: Records) -> Records:
         """The observation after a control step, with the controller's clocks advanced. `memory` (n,) of `MEMORY` is the
         controller's; other arguments as for `reset`."""

@@ -4,7 +4,6 @@ The reward compares the robot with the demonstration, never with the modulated r
 Per step it lies in [0, 1]; the steps after a fall count 0.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import ConfigError, check_positive
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import turned_about_z
@@ -42,8 +41,7 @@ class RewardTerm:
     function: TermFunction | None = None  # computes it; None for the compiled built-in ones
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.weight) and self.weight > 0):
-            raise ConfigError(f"reward term '{self.name}': the weight must be positive, found {self.weight}")
+        check_positive(self.weight, f"reward term '{self.name}': the weight")
 
     @property
     def label(self) -> str:
@@ -161,7 +159,7 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, truth:
     if not valid or not upright or obs.other_contact > 0.5:
         tally.fallen = 1
         return
-    count_tracking(context.geometry, context.dt, ref, clock, obs, tally, context.work, (x, y, z, angle))
+    count_tracking(context, ref, clock, obs, tally, (x, y, z, angle))
     feet = _score_feet(context, ref, obs, truth, tally)
     tally.reward[0] = np.exp(-5.0 * pose)
     tally.reward[1] = np.exp(-0.1 * velocity)

@@ -41,12 +41,11 @@ points' errors now and in the last two frames, without these moves."""
 
 
 @inlined
-def count_tracking(
-    geometry: Array, dt: float, ref: Any, clock: Any, obs: Any, tally: Any, frames: Array, root: tuple[Any, ...]
-) -> None:
-    """Adds a step to a tally. `frames` (2, 3, 3) are the rotations of the robot and of the reference, `root` the
-    reference's position from the robot's, world, m, and the angle between them, rad."""
+def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, root: tuple[Any, ...]) -> None:
+    """Adds a step to a tally. Of the context's scratch memory, the first two (3, 3) are the rotations of the robot and
+    of the reference; `root` is the reference's position from the robot's, world, m, and the angle between them, rad."""
     x, y, z, angle = root
+    frames = context.work
     _follow_moves(clock, tally)
     distance_sq = x * x + y * y + z * z
     tally.far += distance_sq > SUCCESS_DISTANCE * SUCCESS_DISTANCE or angle > SUCCESS_ANGLE
@@ -59,8 +58,8 @@ def count_tracking(
         d = ref.joint_vel[j] - obs.joint_vel[j]
         speeds += d * d
     tally.joint_speed_error += np.sqrt(speeds)
-    _compare_points(geometry, ref, obs, tally, frames, x, y, z)
-    _count_acceleration(tally, max(1, int(FRAME_S / dt + 0.5)), dt)
+    _compare_points(context, ref, obs, tally, x, y, z)
+    _count_acceleration(tally, max(1, int(FRAME_S / context.dt + 0.5)), context.dt)
 
 
 @inlined
@@ -81,10 +80,9 @@ def _follow_moves(clock: Any, tally: Any) -> None:
 
 
 @inlined
-def _compare_points(
-    geometry: Array, ref: Any, obs: Any, tally: Any, frames: Array, x: float, y: float, z: float
-) -> None:
+def _compare_points(context: Any, ref: Any, obs: Any, tally: Any, x: float, y: float, z: float) -> None:
     """Errors of all points, in the world and relative to the root."""
+    geometry, frames = context.geometry, context.work
     _put(tally, 0, x, y, z)
     tally.point_error += np.sqrt(x * x + y * y + z * z) / POINTS
     for leg in range(4):

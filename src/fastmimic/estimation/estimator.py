@@ -128,20 +128,15 @@ def _sense_legs(config: Any, reading: Any, scratch: Any) -> None:
 
 
 @inlined
-def _sense_acceleration(config: Any, reading: Any, scratch: Any) -> None:
-    """Level acceleration of the base; a reading is the mean over a step, so the orientation is that of its middle."""
-    half, g, f = -0.5 * config.dt, reading.gyro, reading.accel
-    tx, ty, tz = cross(half * g[0], half * g[1], half * g[2], f[0], f[1], f[2])
-    x, y, z = turned(scratch.rotation, f[0] + tx, f[1] + ty, f[2] + tz)
-    scratch.accel[0], scratch.accel[1], scratch.accel[2] = x, y, z - GRAVITY
-
-
-@inlined
 def _sense(config: Any, state: Any, reading: Any, scratch: Any) -> None:
     """All readings, in the frame of the ground."""
     quat_to_matrix(state.quat, scratch.rotation)
-    _sense_acceleration(config, reading, scratch)
+    # the level acceleration is the mean over a step, so the orientation is that of its middle
+    half, g, f = -0.5 * config.dt, reading.gyro, reading.accel
+    tx, ty, tz = cross(half * g[0], half * g[1], half * g[2], f[0], f[1], f[2])
+    x, y, z = turned(scratch.rotation, f[0] + tx, f[1] + ty, f[2] + tz)
     gx, gy, a = state.ground[0], state.ground[1], scratch.accel
+    a[0], a[1], a[2] = x, y, z - GRAVITY
     scratch.quat = state.quat
     turn_by(scratch.quat, gx, gy, 0.0, False)
     quat_to_matrix(scratch.quat, scratch.rotation)

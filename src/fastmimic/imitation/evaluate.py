@@ -1,13 +1,12 @@
 """Runs a motion and scores it."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import ConfigError, check_positive
 from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
@@ -86,8 +85,8 @@ def evaluate(
     """
     if episodes < 1:
         raise ConfigError(f"episodes must be at least 1, found {episodes}")
-    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
-        raise ConfigError(f"the duration must be positive, found {duration_s}")
+    if duration_s is not None:
+        check_positive(duration_s, "the duration")
     if seed < 0:
         raise ConfigError(f"seed must not be negative, found {seed}")
     robot = load_robot(robot)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -101,7 +101,8 @@ def stitch(
     counts = [cycles] * len(motions) if isinstance(cycles, int) else cycles
     stage("stitching " + ", ".join(m.name for m in motions))
     demonstration = stitch_motions(robot, [m.target for m in motions], counts)
-    given, whole, parts = demonstration, None, _Parts()
+    given, whole, elsewhere = demonstration, None, 0.0
+    parts: dict[int, Imitation] = {}
     search = {"iterations": iterations, "population": PART_POPULATION, "seed": seed, "choice": choice}
     settings: dict[str, Any] = {"method": method, "config": config, "workers": workers, "progress": progress, **search}
     if chosen.optimises or any(m.demonstration is not None for m in motions):
@@ -109,16 +110,16 @@ def stitch(
             if checkpoints is not None and not resume:
                 for path in checkpoints.glob(CHECKPOINTS):
                     remove_file(path)
+            imitated = time.perf_counter()
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, stage)
-        found = [parts.values.get(id(m)) for m in motions]
-        starts = [parameters_of(m) if own is None else own for m, own in zip(motions, found, strict=True)]
+            elsewhere += time.perf_counter() - imitated
+        starts = [_values(parts[id(m)]) if id(m) in parts else parameters_of(m) for m in motions]
         group = needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts)
         whole = StitchedProblem(robot, demonstration, start=starts, config=config, group=group)
         given = whole.motion(whole.start)
     if chosen.optimises and whole is not None:
         settings["population"] = population or 4 + int(3 * np.log(len(whole.parameters)))  # Hansen 2006
         stage("all together")
-    elsewhere = parts.passed_s
     checkpoint = checkpoints / CHECKPOINT if checkpoints is not None else None
     again = resume and checkpoint is not None and checkpoint.is_file()
     imitated = time.perf_counter()
@@ -132,10 +133,9 @@ def stitch(
         if not chosen.optimises:
             own |= {"motion": made_with(given, method, config), "before": individual, "after": individual}
             own |= {"parameters": whole.parameters, "values": whole.start}
-    own["evaluations"] += parts.evaluations
-    own["simulated_s"] += parts.simulated_s
-    # the optimiser's result includes the time before a resume
-    own["wall_s"] += parts.wall_s + time.perf_counter() - began - elsewhere
+    for name in ("evaluations", "simulated_s", "wall_s"):  # the results include the time before a resume
+        own[name] += sum(getattr(part, name) for part in parts.values())
+    own["wall_s"] += time.perf_counter() - began - elsewhere
     return Stitching(**own, individual=individual)
 
 
@@ -148,15 +148,9 @@ def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: R
     return [found[key] for key in keys]
 
 
-@dataclass
-class _Parts:
-    """Results of the single motions: `values` by motion id and parameter name, summed costs, and time passed, s."""
-
-    values: dict[int, dict[str, float]] = field(default_factory=dict)
-    evaluations: int = 0
-    simulated_s: float = 0.0
-    wall_s: float = 0.0
-    passed_s: float = 0.0
+def _values(found: Imitation) -> dict[str, float]:
+    """The optimised parameters by name."""
+    return {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
 
 
 def _optimised_parts(
@@ -167,12 +161,11 @@ def _optimised_parts(
     resume: bool,
     settings: Mapping[str, Any],
     say: Callable[[str], None],
-) -> _Parts:
-    began = time.perf_counter()
+) -> dict[int, Imitation]:
+    """The results of the motions that are not optimised yet, each by itself, by the motion's id."""
     begun = resume and folder is not None and (folder / CHECKPOINT).is_file()
-    out = _Parts()
     distinct = list({id(m): m for m in motions}.values())
-    todo = []
+    todo, out = [], dict[int, Imitation]()
     for i, motion in enumerate(distinct, start=1):
         if motion.demonstration is not None:
             continue
@@ -185,14 +178,9 @@ def _optimised_parts(
     for i, motion, path, again, count in todo:
         say(f"{motion.name} by itself, {i} of {len(distinct)}")
         own = {**settings, "iterations": count, "duration_s": PART_DURATION_S}
-        found = imitate(motion, robot, checkpoint=path, resume=again, **own)
-        if found.interrupted:
+        out[id(motion)] = imitate(motion, robot, checkpoint=path, resume=again, **own)
+        if out[id(motion)].interrupted:
             raise KeyboardInterrupt
-        out.values[id(motion)] = {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
-        out.evaluations += found.evaluations
-        out.simulated_s += found.simulated_s
-        out.wall_s += found.wall_s
-    out.passed_s = time.perf_counter() - began
     return out
 
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import JOINT_NAMES
-from fastmimic.base.errors import ConfigError, unknown
-from fastmimic.base.files import replace_file
+from fastmimic.base.errors import ConfigError, check_positive, unknown
+from fastmimic.base.files import packaged, replace_file
 from fastmimic.base.rotations import (
     quat_continuous,
     quat_from_yaw,
@@ -39,6 +39,8 @@ EXPORTS: Final = {
     **{"mjlab": ".npz", "deepmimic": ".txt", "csv": ".csv"},
     **{"isaaclab": ".npz", "amp": ".txt", "motion-lib": ".npz"},
 }  # format -> file suffix
+_ARCHIVES: Final = packaged("fastmimic.motion", "exports.json", dict[str, dict[str, str]])
+"""Of the formats with arrays: what each calls ours."""
 DEFAULT_FPS: Final = 50.0
 REPEATED_S: Final = 10.0  # default duration of a cycle in a format that does not loop
 DECIMALS: Final = 6  # of numbers in text
@@ -86,7 +88,7 @@ def export_motion(
         about = {"Robot": robot.name, "Joints": list(JOINT_NAMES)}
         content = _framed("Wrap" if looping else "Clamp", frames.fps, about, _rows(frames))
     else:
-        content = _WRITERS[form](frames, robot)
+        content = _archive(form, frames, robot) if form in _ARCHIVES else _TEXTS[form](frames, robot)
     replace_file(path, lambda file: file.write(content))
     return frames
 
@@ -96,8 +98,8 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     by its first frame moved by the cycle. Raises `ConfigError` for a bad rate or duration."""
     if not (math.isfinite(fps) and 0 < fps <= motion.rate_hz):
         raise ConfigError(f"fps must be above 0 and at most the motion's {motion.rate_hz:g}, found {fps:g}")
-    if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
-        raise ConfigError(f"the duration must be positive, found {duration_s:g}")
+    if duration_s is not None:
+        check_positive(duration_s, "the duration", shown=f"{duration_s:g}")
     whole = motion.period_s - motion.dt
     if motion.cycle is not None:
         per_cycle = max(2, round(motion.period_s * fps))
@@ -175,46 +177,26 @@ def _amp(frames: Frames, robot: Robot) -> bytes:
     return _framed("Clamp", frames.fps, about, np.hstack([*pose, feet.reshape(-1, 12), *velocities, *speeds]))
 
 
-def _mjlab(frames: Frames, robot: Robot) -> bytes:
-    sign = robot.joint_sign
-    arrays = {"joint_pos": sign * frames.joint_pos, "joint_vel": sign * frames.joint_vel, **body_states(frames, robot)}
-    return _archive(np.array([frames.fps]), arrays | {"joint_names": np.array(robot.joint_names)})
+_TEXTS: Final = {"csv": _csv, "amp": _amp}
 
 
-def _isaaclab(frames: Frames, robot: Robot) -> bytes:
-    sign, states = robot.joint_sign, body_states(frames, robot)
-    arrays = {
-        "dof_names": np.array(robot.joint_names),
-        "body_names": states["body_names"],
-        "dof_positions": sign * frames.joint_pos,
-        "dof_velocities": sign * frames.joint_vel,
-        "body_positions": states["body_pos_w"],
-        "body_rotations": states["body_quat_w"],
-        "body_linear_velocities": states["body_lin_vel_w"],
-        "body_angular_velocities": states["body_ang_vel_w"],
-    }
-    return _archive(np.array(frames.fps), arrays)
-
-
-def _motion_lib(frames: Frames, robot: Robot) -> bytes:
-    arrays = {
-        "root_trans_offset": frames.root_pos_w,
-        "root_rot": frames.root_quat_wxyz[:, [1, 2, 3, 0]],
-        "dof": robot.joint_sign * frames.joint_pos,
-        "dof_names": np.array(robot.joint_names),
-    }
-    return _archive(np.array(frames.fps), arrays)
-
-
-def _archive(fps: Array, arrays: dict[str, NDArray[Any]]) -> bytes:
+def _archive(form: str, frames: Frames, robot: Robot) -> bytes:
     """An `.npz` with real numbers of single precision, but the rate."""
+    known: dict[str, NDArray[Any]] = {
+        "root_pos_w": frames.root_pos_w,
+        "root_quat_xyzw": frames.root_quat_wxyz[:, [1, 2, 3, 0]],
+        "joint_names": np.array(robot.joint_names),
+        "joint_pos": robot.joint_sign * frames.joint_pos,
+        "joint_vel": robot.joint_sign * frames.joint_vel,
+    }
+    wanted = _ARCHIVES[form]
+    if "body_names" in wanted:
+        known |= body_states(frames, robot)
+    arrays = {name: known[own] for name, own in wanted.items()}
     plain: dict[str, Any] = {k: v.astype(np.float32) if v.dtype == np.float64 else v for k, v in arrays.items()}
     out = io.BytesIO()
-    np.savez_compressed(out, fps=fps, **plain)
+    np.savez_compressed(out, fps=np.array([frames.fps] if form == "mjlab" else frames.fps), **plain)
     return out.getvalue()
-
-
-_WRITERS: Final = {"mjlab": _mjlab, "csv": _csv, "isaaclab": _isaaclab, "amp": _amp, "motion-lib": _motion_lib}
 
 
 def body_states(frames: Frames, robot: Robot) -> dict[str, NDArray[Any]]:

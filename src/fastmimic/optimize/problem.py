@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import check_positive
 from fastmimic.base.machine import available_cores
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import ClosedLoop
@@ -52,8 +52,7 @@ class Objective:
     clearance_weight: float = 1.0  # penalty per foot and per unit of the missing share
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.duration_s) and self.duration_s > 0):
-            raise ConfigError(f"the duration must be positive, found {self.duration_s}")
+        check_positive(self.duration_s, "the duration")
 
 
 class Problem(ABC):

@@ -148,7 +148,7 @@ class LiveSession:
         self._clock = np.zeros(1, CLOCK)
         self._truth = np.zeros(1, SAMPLE)
         self._scorer = Scorer(robot, self._truth, 1, self._given, self.rate_hz)
-        stand = self.library.entry(STAND).motion
+        stand = self.library.entries[STAND].motion
         height = float(stand.root_pos_w[0, 2])
         self._recovery = GettingUp(robot, self.simulation, stand.joint_pos[0], height, self.dt)
         self.falls = 0
@@ -190,7 +190,7 @@ class LiveSession:
             return
         config = METHODS[name].configure(self._given)
         before = self.controller.memory.copy() if self.method else None
-        self.controller: Controller = Controller(self.robot, [self.library.entry(STAND).motion], 1, config)
+        self.controller: Controller = Controller(self.robot, [self.library.entries[STAND].motion], 1, config)
         ahead = config.samples_ahead
         self._every = max(1, round(config.rate_hz / config.horizon.solve_rate_hz)) if ahead > 1 else 1
         self._tables = np.zeros((1, ahead), SAMPLE)
@@ -320,7 +320,7 @@ class LiveSession:
         if observer is None:
             observation = self._seen = self.simulation.step(commands)
         else:
-            observation = self.simulation.step(observer.to_motors(commands))
+            observation = self.simulation.step(observer.sensors.to_motors(commands))
             self._seen = observer.look(observation, self.controller.memory, self._tables)
         self.reference.advance(self._seen["root_pos"][0, :2], float(self.controller.memory["haste"][0]))
         self._score(observation)

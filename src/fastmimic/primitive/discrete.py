@@ -183,7 +183,7 @@ def _course(dmp: DiscreteDmp, weights: Array, n_samples: int) -> Array:
         x, basis = _acting(dmp, window, steps)
         forcing = x[..., None] * product(basis, weights[window.acting])
         part = out[window.first : window.last + 1]
-        _advance(forcing, 1.0 / steps, dmp.pole, _NODES, _NODE_WEIGHTS, rate, part)
+        _advance(forcing, 1.0 / steps, dmp.pole, rate, part)
     return out[::finer]
 
 
@@ -201,7 +201,7 @@ def _normal_equations(dmp: DiscreteDmp, wanted: Array, rows: Array) -> tuple[Arr
         forcing[..., acting.start - low :] = x[..., None] * basis / dmp.centres[acting]
         response, moving = np.zeros((len(x) + 1, lasting.stop - low)), rate[lasting]
         response[0] = at[lasting]
-        _advance(forcing, 1.0 / steps, dmp.pole, _NODES, _NODE_WEIGHTS, moving, response)
+        _advance(forcing, 1.0 / steps, dmp.pole, moving, response)
         at[lasting], rate[lasting] = response[-1], moving
         here = rows[(finer * rows > window.first) & (finer * rows <= window.last)]
         _add_products(response[finer * here - window.first], wanted[here], low, band, right)
@@ -222,9 +222,7 @@ def _add_products(response: Array, wanted: Array, low: int, band: Array, right: 
 
 
 @kernel
-def _advance(
-    forcing: Array, delta: float, c: float, nodes: Array, node_weights: Array, rate: Array, out: Array
-) -> None:
+def _advance(forcing: Array, delta: float, c: float, rate: Array, out: Array) -> None:
     """Rows 1 … k of `out` (k + 1, d) from row 0, with `rate` (d,) = τ ẏ, under forcing (k, 3, d)."""
     decay = np.exp(-c * delta)
     for i in range(forcing.shape[0]):
@@ -233,8 +231,8 @@ def _advance(
             following = decay * ((1 + c * delta) * y + delta * z)
             moving = decay * (-(c**2) * delta * y + (1 - c * delta) * z)
             for q in range(forcing.shape[1]):
-                left = delta * (1 - nodes[q])
-                push = delta * node_weights[q] * np.exp(-c * left) * forcing[i, q, j]
+                left = delta * (1 - _NODES[q])
+                push = delta * _NODE_WEIGHTS[q] * np.exp(-c * left) * forcing[i, q, j]
                 following += left * push
                 moving += (1 - c * left) * push
             out[i + 1, j] = following

@@ -43,21 +43,18 @@ class PlanarTwist:
     of the frame's rotation and counted in `whole_turns`."""
 
     origin: Array  # (x, y, yaw) of X₀, world, m and rad
-    translation: Array  # (2,) translational part of the logarithm, moving frame, m a cycle
-    rotation: float  # rotational part of the logarithm, rad a cycle
-    whole_turns: float = 0.0  # of the body about itself, left out of `rotation`, rad a cycle
+    log: Array  # (3,) logarithm of the displacement, moving frame, m, m and rad a cycle
+    whole_turns: float = 0.0  # of the body about itself, left out of `log`, rad a cycle
 
     @classmethod
     def from_cycle(cls, origin: Array, cycle: Array) -> "PlanarTwist":
         """From the pose (x, y, yaw) at phase 0 and the displacement (dx, dy, dyaw) in its frame."""
         turns = 2 * np.pi * np.round(cycle[2] / (2 * np.pi)) if abs(cycle[2]) > 1.5 * np.pi else 0.0
-        angle = float(cycle[2] - turns)
-        return cls(origin, planar_log(np.array([*cycle[:2], angle]))[:2], angle, float(turns))
+        return cls(origin, planar_log(np.array([*cycle[:2], cycle[2] - turns])), float(turns))
 
     def pose(self, phase: Array) -> tuple[Array, Array]:
         """World position (..., 2) and unwrapped heading (...) of X at phases (...)."""
-        share = np.asarray(phase, dtype=np.float64) / (2 * np.pi)
-        local, angle = planar_exp(np.array([*self.translation, self.rotation]), share)
+        local, angle = planar_exp(self.log, np.asarray(phase, dtype=np.float64) / (2 * np.pi))
         return self.origin[:2] + rotate_planar(self.origin[2], local), self.origin[2] + angle
 
 
@@ -107,7 +104,7 @@ def to_coordinates(motion: Motion, twist: PlanarTwist) -> Array:
     out[:, 6:8] -= _frame_velocity(twist, out[:, 0:2], motion.period_s)
     out[:, 8] = motion.root_lin_vel_w[:, 2]
     out[:, 9:11] = rotate_planar(-heading, motion.root_ang_vel_w[:, :2])
-    out[:, 11] = motion.root_ang_vel_w[:, 2] - (twist.rotation + twist.whole_turns) / motion.period_s
+    out[:, 11] = motion.root_ang_vel_w[:, 2] - (twist.log[2] + twist.whole_turns) / motion.period_s
     out[:, FEET] = motion.foot_pos_b.reshape(-1, 12)
     return out
 
@@ -122,15 +119,15 @@ def root_from_coordinates(coordinates: Array, twist: PlanarTwist, period_s: floa
     quat = quat_continuous(_quat_from_euler(y[:, 3], y[:, 4], yaw))
     planar = y[:, 6:8] + _frame_velocity(twist, y[:, 0:2], period_s)
     lin_vel = np.column_stack([rotate_planar(heading, planar), y[:, 8]])
-    turn_rate = y[:, 11] + (twist.rotation + twist.whole_turns) / period_s
+    turn_rate = y[:, 11] + (twist.log[2] + twist.whole_turns) / period_s
     ang_vel = np.column_stack([rotate_planar(heading, y[:, 9:11]), turn_rate])
     return position, quat, lin_vel, ang_vel
 
 
 def _frame_velocity(twist: PlanarTwist, offset: Array, period_s: float) -> Array:
     """Velocity (t, 2) of the moving frame's points at `offset` (t, 2), in that frame."""
-    spin = twist.rotation / period_s
-    return twist.translation / period_s + spin * np.column_stack([-offset[:, 1], offset[:, 0]])
+    velocity = twist.log / period_s
+    return velocity[:2] + velocity[2] * np.column_stack([-offset[:, 1], offset[:, 0]])
 
 
 def _quat_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.errors import MotionError, check_positive
 from fastmimic.base.jit import kernel
 
 LEAST_SAMPLES: Final = 4
@@ -91,7 +91,11 @@ class RhythmicDmp:
 
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
-        return _series(phase, self._harmonics)
+        harmonics = self._harmonics
+        angle = np.asarray(phase, dtype=np.float64)[..., None] * np.arange(len(harmonics))
+        weights = np.where(np.arange(len(harmonics)) > 0, 2.0, 1.0)  # of the real series: k and −k together
+        even = product(weights * np.cos(angle), harmonics.real)
+        return even - product(weights * np.sin(angle), harmonics.imag)
 
     def course(self, n_samples: int) -> Terms:
         """The terms at `n_samples` evenly spaced phases of a cycle."""
@@ -147,14 +151,6 @@ def _fitted_weights(centres: Array, deviation: Array) -> Array:
     weights = solve_banded(in_band(normal), product(response.T, deviation) / t).T
     # the basis sums to one, so this only removes the mean of f
     return weights - product(weights, basis.mean(axis=0)[:, None])
-
-
-def _series(phase: Array | float, harmonics: NDArray[np.complex128]) -> Array:
-    """Value at phases (...) → (..., d) of the real Fourier series with complex amplitudes (k, d)."""
-    angle = np.asarray(phase, dtype=np.float64)[..., None] * np.arange(len(harmonics))
-    weights = np.where(np.arange(len(harmonics)) > 0, 2.0, 1.0)  # k and −k together
-    even = product(weights * np.cos(angle), harmonics.real)
-    return even - product(weights * np.sin(angle), harmonics.imag)
 
 
 def place_basis(samples: Array, n_basis: int) -> Array:
@@ -217,8 +213,7 @@ def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) 
     """A copy of the samples (t, d); `what` names them in messages. Raises `MotionError` for fewer than 4 samples or a
     value that is not finite, and `ConfigError` for a setting that is not positive."""
     for name, value in settings.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ConfigError(f"{name} must be positive, found {value}")
+        check_positive(value, name)
     y = np.array(samples, dtype=np.float64)
     if y.ndim != 2 or len(y) < LEAST_SAMPLES:
         raise MotionError(f"a DMP of {what} needs at least {LEAST_SAMPLES} samples, found shape {y.shape}")

@@ -2,7 +2,7 @@
 the step to the next sample. A cycle is then periodic, a motion continuous into a transition, and gaits can be mixed.
 Stitching's transitions between motions are courses, too.
 
-A `Stream` turns a course into the table that the controller reads, from any place in it, and from one course into the
+`fill_table` turns a course into the table that the controller reads, from any place in it, and from one course into the
 next. Samples are interpolated: after haste the place lies between two of them.
 """
 
@@ -143,29 +143,11 @@ def make_work(robot: Robot, dt: float) -> Records:
     return work
 
 
-class Stream:
-    """Fills tables of one robot's reference. Not thread-safe."""
-
-    def __init__(self, robot: Robot, rate_hz: float) -> None:
-        self._dt = 1.0 / rate_hz
-        self._work = make_work(robot, self._dt)
-        self._scratch = make_place()
-
-    def advance(self, course: Records, following: Records, place: Records, root_xy: Array, haste: float = 0.0) -> None:
-        """Advances `place` by one control step in `course` (t,) of `COURSE` and the `following` one. At the start of a
-        cycle x and y are synchronised to the robot's position `root_xy` (2,), m. With the controller's `haste` the feet
-        advance by so much more, and the root goes on at its own pace."""
-        _advance(course, following, place[0], 1.0 + max(haste, 0.0), True, root_xy[0], root_xy[1])
-
-    def fill(self, course: Records, following: Records, place: Records, table: Records) -> None:
-        """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame."""
-        self._scratch[0] = place[0]
-        _fill(course, following, self._scratch[0], self._work[0], table)
-
-
 @kernel
-def _advance(course: Any, following: Any, place: Any, tempo: float, follow: bool, x: float, y: float) -> None:
-    """Advances by one control step, sample by sample, so that exits and starts of cycles are met exactly."""
+def advance_place(course: Any, following: Any, place: Any, tempo: float, follow: bool, x: float, y: float) -> None:
+    """Advances a place by one control step in `course` (t,) of `COURSE` and the `following` one, sample by sample, so
+    that exits and starts of cycles are met exactly. With `follow`, x and y are synchronised at the start of a cycle to
+    the robot at (x, y), m. The feet advance by `tempo` samples, and the root goes on at its own pace."""
     place.left, place.synced = 0, 0
     remaining = tempo
     pose = place.pose
@@ -195,7 +177,9 @@ def _advance(course: Any, following: Any, place: Any, tempo: float, follow: bool
 
 
 @kernel
-def _fill(course: Any, following: Any, place: Any, work: Any, table: Any) -> None:
+def fill_table(course: Any, following: Any, place: Any, work: Any, table: Any) -> None:
+    """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame; `place` is used
+    up."""
     x0, y0, yaw0 = place.pose[0], place.pose[1], place.pose[2]
     co, so = np.cos(yaw0), np.sin(yaw0)
     beyond = False
@@ -204,7 +188,7 @@ def _fill(course: Any, following: Any, place: Any, work: Any, table: Any) -> Non
             here = following if beyond else course
             if beyond:
                 place.exit = -1
-            _advance(here, following, place, 1.0, False, 0.0, 0.0)
+            advance_place(here, following, place, 1.0, False, 0.0, 0.0)
             beyond = beyond or place.left == 1
         dx, dy = place.pose[0] - x0, place.pose[1] - y0
         here = following if beyond else course

@@ -14,7 +14,15 @@ from fastmimic.base.errors import MotionError
 from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.course import CourseTransition, Stream, course_of, make_course_transition, make_place
+from fastmimic.reference.course import (
+    CourseTransition,
+    advance_place,
+    course_of,
+    fill_table,
+    make_course_transition,
+    make_place,
+    make_work,
+)
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import STAND, standing
@@ -40,9 +48,10 @@ class Entry:
 
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
-    both are always there. Raises `MotionError` for a motion that does not repeat, or is for another robot or rate. The
-    processes of `executor` make transitions in the background, and load the robot from `source`, a file or by default
-    the robot's name; without it they are made when they are needed. `regulator` is the controller's."""
+    both are always there, all in `entries`. Raises `MotionError` for a motion that does not repeat, or is for another
+    robot or rate. The processes of `executor` make transitions in the background, and load the robot from `source`, a
+    file or by default the robot's name; without it they are made when they are needed. `regulator` is the
+    controller's."""
 
     def __init__(
         self,
@@ -67,10 +76,6 @@ class MotionSet:
     def names(self) -> tuple[str, ...]:
         """The names in the order of display."""
         return tuple(self.entries)
-
-    def entry(self, name: str) -> Entry:
-        """A motion; raises `ConfigError` for an unknown name."""
-        return self.entries[name]
 
     def next_hop(self, now: str, goal: str) -> tuple[str, CourseTransition] | None:
         """The next motion on the way from `now` to `goal` and the transition to it; None while that is being made.
@@ -100,13 +105,13 @@ class MotionSet:
 
     def _stands(self, name: str) -> bool:
         """Whether no foot ever lifts off."""
-        return bool(self.entry(name).motion.contact.all())
+        return bool(self.entries[name].motion.contact.all())
 
     def _future(self, before: str, after: str) -> Future[CourseTransition | None]:
         key = (before, after)
         known = self._transitions.get(key)
         if known is None or (known.done() and isinstance(known.exception(), BrokenExecutor)):
-            a, b = self.entry(before).motion, self.entry(after).motion
+            a, b = self.entries[before].motion, self.entries[after].motion
             self._transitions[key] = self._made(make_course_transition, a, b, self._regulator)
         return self._transitions[key]
 
@@ -159,12 +164,12 @@ class LiveReference:
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
         self._library = library
-        self._stream = Stream(robot, rate_hz)
+        self._work, self._scratch = make_work(robot, 1.0 / rate_hz), make_place()
         self.place = make_place()
         self._transition: CourseTransition | None = None
         self._armed: tuple[str, CourseTransition] | None = None
         self.trouble: str | None = None
-        self._entry = self._following = library.entry(start)
+        self._entry = self._following = library.entries[start]
         self.goal = start
 
     @property
@@ -184,13 +189,13 @@ class LiveReference:
 
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
-        self._library.entry(name)
+        _ = self._library.entries[name]
         self.goal, self.trouble = name, None
         self._disarm()
 
     def begin(self, name: str, pose: Array, row: int = 0) -> None:
         """Starts a motion at a row of its course and a pose (3,) of its root: x, y, yaw, world, m and rad."""
-        self._entry = self._library.entry(name)
+        self._entry = self._library.entries[name]
         self.put(*pose)
         self.place["position"] = row
 
@@ -207,7 +212,8 @@ class LiveReference:
 
     def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
         """Fills rows of `SAMPLE` with the reference from now on; if `scored`, with the demonstration."""
-        self._stream.fill(*self._courses(scored), self.place, rows)
+        self._scratch[0] = self.place[0]
+        fill_table(*self._courses(scored), self._scratch[0], self._work[0], rows)
 
     @property
     def demonstration(self) -> Motion:
@@ -221,7 +227,7 @@ class LiveReference:
 
     def advance(self, base_xy: Array, haste: float = 0.0) -> None:
         """Advances by a control step that ended with the base at (2,), world, m; `haste` is the controller's."""
-        self._stream.advance(*self._courses(), self.place, base_xy, haste)
+        advance_place(*self._courses(), self.place[0], 1.0 + max(haste, 0.0), True, base_xy[0], base_xy[1])
         if self.place["left"][0]:
             self._arrived()
 
@@ -256,7 +262,7 @@ class LiveReference:
             return
         assert self._armed is not None
         name, self._transition = self._armed
-        self._following = self._library.entry(name)
+        self._following = self._library.entries[name]
         self._armed = None
         self.place["exit"], self.place["entry"] = self._transition.last, self._transition.arrive
 

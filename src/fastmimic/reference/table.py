@@ -28,7 +28,7 @@ from fastmimic.base.rotations import (
     yaw_from_quat,
 )
 from fastmimic.motion.contacts import swung
-from fastmimic.motion.ground import ground_demand
+from fastmimic.motion.limits import ground_demand
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 

@@ -9,7 +9,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.configuration import tabulated
 from fastmimic.base.conventions import LEFT
 from fastmimic.base.rotations import rotate_planar
-from fastmimic.motion.contacts import Stance, Stances, contact_mask, swings_of
+from fastmimic.motion.contacts import Stances, contact_mask, swings_of
 from fastmimic.retargeting.track import TrunkTrack, WorldPath
 from fastmimic.robot import Robot
 
@@ -53,34 +53,24 @@ def plant_feet(
         highest: largest height of a foot, m.
         ground_z: height of a standing foot's centre, m.
     """
-    feet = np.empty_like(raw_w)
-    for leg in range(4):
-        path = WorldPath(raw_w[:, leg], track)
-        feet[:, leg] = _plant(path, stances[leg], holds[leg], highest, rate_hz, config)
+    feet, n, periodic = raw_w.copy(), len(raw_w), track.cycle is not None
+    for leg, spans in enumerate(stances):
+        path, out = WorldPath(raw_w[:, leg], track), WorldPath(raw_w[:, leg], track)
+        for stance, hold in zip(spans, holds[leg], strict=True):
+            out.write(np.arange(*stance), np.tile([*hold, 0.0], (stance.duration, 1)))
+        for lift_off, touch_down in swings_of(spans, n, periodic) if spans else ():
+            from_rest = periodic or lift_off > 0
+            to_rest = periodic or touch_down < n
+            index = np.arange(lift_off - from_rest, touch_down + to_rest)  # with the samples at rest on both sides
+            held, raw = out.read(index), path.read(index)
+            clearance = min(max(float(raw[:, 2].max()), config.min_clearance_m), highest)
+            ends = held[0] if from_rest else None, held[-1] if to_rest else None
+            swing = _swing(raw, *ends, clearance, rate_hz, config)
+            inner = slice(int(from_rest), len(index) - int(to_rest))
+            out.write(index[inner], swing[inner])
+        feet[:, leg] = out.samples
     feet[..., 2] += ground_z
     return feet
-
-
-def _plant(
-    path: WorldPath, stances: list[Stance], holds: list[Array], highest: float, rate_hz: float, config: SwingPathConfig
-) -> Array:
-    n = path.n
-    if not stances:
-        return path.samples
-    out = WorldPath(path.samples, path.track)
-    for stance, hold in zip(stances, holds, strict=True):
-        out.write(np.arange(*stance), np.tile([*hold, 0.0], (stance.duration, 1)))
-    for lift_off, touch_down in swings_of(stances, n, path.periodic):
-        from_rest = path.periodic or lift_off > 0
-        to_rest = path.periodic or touch_down < n
-        index = np.arange(lift_off - from_rest, touch_down + to_rest)  # with the samples at rest on both sides
-        held, raw = out.read(index), path.read(index)
-        clearance = min(max(float(raw[:, 2].max()), config.min_clearance_m), highest)
-        ends = held[0] if from_rest else None, held[-1] if to_rest else None
-        swing = _swing(raw, *ends, clearance, rate_hz, config)
-        inner = slice(int(from_rest), len(index) - int(to_rest))
-        out.write(index[inner], swing[inner])
-    return out.samples
 
 
 def _swing(

@@ -17,7 +17,7 @@ from fastmimic.base.rotations import (
     quat_rotate_inverse,
     trunk_quaternion,
 )
-from fastmimic.motion.ground import differentiate, pad
+from fastmimic.motion.limits import differentiate, pad
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.track import TrunkTrack

@@ -20,7 +20,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ClipError, ConfigError
+from fastmimic.base.errors import ClipError, check_positive
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
@@ -114,10 +114,9 @@ def _leg_length(clip: Clip) -> float:
 
 
 def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise ConfigError(f"the rate of a motion must be positive, found {rate_hz} Hz")
-    if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise ConfigError(f"the scale must be positive, found {scale}")
+    check_positive(rate_hz, "the rate of a motion", shown=f"{rate_hz} Hz")
+    if scale is not None:
+        check_positive(scale, "the scale")
     if min(clip.n_frames, round((clip.n_frames - 1) / clip.rate_hz * rate_hz)) < MIN_FRAMES:
         found = f"{clip.n_frames} at {clip.rate_hz:g} Hz"
         raise ClipError(f"retargeting needs at least {MIN_FRAMES} frames, found {found}; choose a longer cut")

@@ -20,8 +20,7 @@ from fastmimic.retargeting.track import (
     extract,
     pose_mismatch,
     step_times,
-    track_cycle,
-    track_open,
+    track_of,
 )
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import length_ratio
@@ -91,12 +90,10 @@ class Retargeting:
         self.n = max(2, round(self.duration * self.rate_hz))
         self.activity = self._activity()
         self.detected = detect(self.activity, self.rate_hz, self.periodic, config.contact)
-        if self.periodic:
-            stands = all(leg and leg[0].duration >= self.n for leg in self.detected)  # no foot ever lifts off
-            travels = not (config.consistent and stands)
-            self.track = track_cycle(self.source, self.n, config.trunk_hz, config.foot_hz, travels=travels)
-        else:
-            self.track = track_open(self.source, self.n, config.trunk_hz, config.foot_hz)
+        displacement = cycle_displacement(self.source) if self.periodic else None
+        if self.periodic and config.consistent and all(leg and leg[0].duration >= self.n for leg in self.detected):
+            displacement = np.zeros(3)  # no foot ever lifts off
+        self.track = track_of(self.source, self.n, config.trunk_hz, config.foot_hz, displacement)
 
     def change_velocity(self, velocity: Array) -> None:
         """Changes a cycle's mean velocity (3,): forwards, to the left, m/s, turning, rad/s. Its contacts stay."""

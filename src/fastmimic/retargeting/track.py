@@ -282,35 +282,38 @@ def pose_mismatch(source: ScaledClip) -> float:
     return float(np.linalg.norm(closing_error(pose)) / max(spread, 1e-6))
 
 
-def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, travels: bool = True) -> TrunkTrack:
-    """A cycle on `n_out` samples, closed and low-passed; without `travels` it ends where it began.
+def track_of(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float, displacement: Array | None) -> TrunkTrack:
+    """A recording on `n_out` samples, low-passed; a cycle that moves by its `displacement` (3,) is closed as well.
 
-    Planar motion is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)), where a
-    cycle is periodic whether it turns or not. The closing error is spread evenly over the cycle, and the Fourier series
-    closes position, velocity and acceleration.
+    Planar motion of a cycle is taken in the moving frame of the constant-twist motion exp(share · log(dx, dy, dyaw)),
+    where a cycle is periodic whether it turns or not. The closing error is spread evenly over the cycle, and the
+    Fourier series closes position, velocity and acceleration.
     """
-    n = len(source.root_xy)
-    cycle = cycle_displacement(source) if travels else np.zeros(3)
-    twist = planar_log(cycle)
-    start, yaw0 = source.root_xy[0], source.heading[0]
+    n, start, yaw0 = len(source.root_xy), source.root_xy[0], source.heading[0]
+    root_xy, heading, cycle = source.root_xy, source.heading, displacement
 
-    def frame(share: Array) -> tuple[Array, Array]:
+    def frame(share: Array, twist: Array) -> tuple[Array, Array]:
         offset, angle = planar_exp(twist, share)
         return start + rotate_planar(yaw0, offset), yaw0 + angle
 
     def smooth(values: Array, cutoff_hz: float) -> Array:
+        if displacement is None:
+            return resample_open(values, source.rate_hz, n_out, cutoff_hz)
         share = (np.arange(n) / n - 0.5).reshape(-1, *[1] * (values.ndim - 1))
         return resample_periodic(values - share * closing_error(values), source.rate_hz, n_out, cutoff_hz)
 
-    origin, angle = frame(np.arange(n) / n)
-    local_xy = smooth(rotate_planar(-angle, source.root_xy - origin), trunk_hz)
-    local_yaw = smooth(source.heading - angle, trunk_hz)
-    origin, angle = frame(np.arange(n_out) / n_out)
-    root_xy = origin + rotate_planar(angle, local_xy)
-    heading = angle + local_yaw
-    end, end_angle = frame(np.ones(()))
-    displacement = end + rotate_planar(end_angle, local_xy[0]) - root_xy[0]
-    dx, dy = rotate_planar(-heading[0], displacement)
+    if displacement is None:
+        root_xy, heading = smooth(root_xy, trunk_hz), smooth(heading, trunk_hz)
+    else:
+        twist = planar_log(displacement)
+        origin, angle = frame(np.arange(n) / n, twist)
+        local_xy = smooth(rotate_planar(-angle, root_xy - origin), trunk_hz)
+        local_yaw = smooth(heading - angle, trunk_hz)
+        origin, angle = frame(np.arange(n_out) / n_out, twist)
+        root_xy, heading = origin + rotate_planar(angle, local_xy), angle + local_yaw
+        end, end_angle = frame(np.ones(()), twist)
+        way = end + rotate_planar(end_angle, local_xy[0]) - root_xy[0]
+        cycle = np.array([*rotate_planar(-heading[0], way), displacement[2]])
     return TrunkTrack(
         root_xy=root_xy,
         root_z=smooth(source.root_z, trunk_hz),
@@ -318,22 +321,5 @@ def track_cycle(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float,
         tilt=smooth(source.tilt, trunk_hz),
         toe_from_hip=smooth(source.toe_from_hip, foot_hz),
         toe_height=np.maximum(smooth(source.toe_height, foot_hz), 0.0),
-        cycle=np.array([dx, dy, cycle[2]]),
-    )
-
-
-def track_open(source: ScaledClip, n_out: int, trunk_hz: float, foot_hz: float) -> TrunkTrack:
-    """A recording that is not a cycle on `n_out` samples, low-passed."""
-
-    def smooth(values: Array, cutoff_hz: float) -> Array:
-        return resample_open(values, source.rate_hz, n_out, cutoff_hz)
-
-    return TrunkTrack(
-        root_xy=smooth(source.root_xy, trunk_hz),
-        root_z=smooth(source.root_z, trunk_hz),
-        heading=smooth(source.heading, trunk_hz),
-        tilt=smooth(source.tilt, trunk_hz),
-        toe_from_hip=smooth(source.toe_from_hip, foot_hz),
-        toe_height=np.maximum(smooth(source.toe_height, foot_hz), 0.0),
-        cycle=None,
+        cycle=cycle,
     )

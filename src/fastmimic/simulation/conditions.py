@@ -270,19 +270,14 @@ def parse_range(text: str) -> Range:
         raise ConfigError(f"{said}; found '{text}'. There are {there}") from None
 
 
-def check_once(ranges: Sequence[Range]) -> None:
-    """Raises `ConfigError` if a disturbance has two ranges."""
-    names = [r.name for r in ranges]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f"the range of '{name}' is given twice")
-
-
 def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> tuple[Disturbance, ...]:
     """Draws n robots independently of each other, for a training, which can be resumed at any step. Raises
     `ConfigError` if a disturbance has two ranges, happens at a time, or is a delay (commands under way are not part of
     the training's state)."""
-    check_once(ranges)
+    names = [r.name for r in ranges]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"the range of '{name}' is given twice")
     possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
     for r in ranges:
         if r.name not in possible:

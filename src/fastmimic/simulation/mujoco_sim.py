@@ -71,7 +71,7 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
     for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):  # 3: the net force
         foot = spec.add_sensor(name=f"{leg}_ground_force", **touched, intprm=[wanted, 3, 1])
         foot.reftype, foot.refname = sphere, geom
-    trunk = {} if ground is None else {"reftype": body, "refname": _trunk_of(spec, robot)}
+    trunk = {} if ground is None else {"reftype": body, "refname": _trunk_of(spec)}
     spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]
@@ -90,12 +90,9 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
     return model
 
 
-def _trunk_of(spec: mujoco.MjSpec, robot: Robot) -> str:
-    """The body that carries the legs."""
-    body = spec.joint(robot.joint_names[0]).parent.parent
-    while not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-        body = body.parent
-    return str(body.name)
+def _trunk_of(spec: mujoco.MjSpec) -> str:
+    """The body that carries the legs: the only one that floats."""
+    return next(str(joint.parent.name) for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE)
 
 
 def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:

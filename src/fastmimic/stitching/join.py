@@ -63,12 +63,13 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
     arrays = _samples(parts, layout, track)
     transitions = []
     for i in range(1, len(motions)):
-        transition = make_transition(robot, layout, i, track, raw_w, contact, (own[i - 1], own[i]), rate, config)
-        transitions.append(transition)
-        for name, values in transition.arrays.items():
-            arrays[name][transition.span.start : transition.span.end] = values
+        cycles_of = own[i - 1], own[i]
+        span, found, measured = make_transition(robot, layout, i, track, raw_w, contact, cycles_of, rate, config)
+        transitions.append((span, measured))
+        for name, values in found.items():
+            arrays[name][span.start : span.end] = values
     arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
-    rebuilt = (replace(s, rebuilt=t.span) for s, t in zip(layout.segments[1:], transitions, strict=True))
+    rebuilt = (replace(s, rebuilt=span) for s, (span, _) in zip(layout.segments[1:], transitions, strict=True))
     layout = Layout((layout.segments[0], *rebuilt), layout.n)
     _check_room(layout)
     licences = sorted({m.provenance.licence for m in motions if m.provenance.licence})
@@ -83,7 +84,7 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
             robot=robot.name,
             source={"source": "stitched", "assumed": list(assumed)},
             licence="; ".join(licences) or None,
-            stitch=StitchRecord(layout.segments, _cycle_starts(layout, parts), tuple(t.measured for t in transitions)),
+            stitch=StitchRecord(layout.segments, _cycle_starts(layout, parts), tuple(m for _, m in transitions)),
         ),
         parts=tuple(parts),
     )

@@ -70,15 +70,6 @@ def _shares(steps: Array) -> Array:
     return steps - np.concatenate([steps[1:], np.zeros_like(steps[:1])])
 
 
-@dataclass(frozen=True, eq=False)
-class Transition:
-    """The rebuilt samples (`span` of the whole) between two segments, by the names of `Motion`, with JSON figures."""
-
-    span: Span
-    arrays: dict[str, Array]
-    measured: dict[str, Any]
-
-
 def make_transition(
     robot: Robot,
     layout: Layout,
@@ -89,10 +80,11 @@ def make_transition(
     own: tuple[Cycle, Cycle],
     rate_hz: float,
     config: RetargetConfig,
-) -> Transition:
+) -> tuple[Span, dict[str, Array], dict[str, Any]]:
     """Rebuilds the samples between segments `index` − 1 and `index`. `track` is the blended trunk of the whole, `raw_w`
-    (n, 4, 3) are the feet under it, world, m (z of their centres), and `own` the cycles of the two motions. Raises
-    `MotionError` if a foot that never lifts off would have to move, or a segment is too short."""
+    (n, 4, 3) are the feet under it, world, m (z of their centres), and `own` the cycles of the two motions. Returns the
+    samples of the whole, their arrays by the names of `Motion`, and figures of the transition. Raises `MotionError` if
+    a foot that never lifts off would have to move, or a segment is too short."""
     window, rebuilt, planned, fixed = _plan(layout, index, contact, own, round(_KEPT_S * rate_hz))
     if window.start < 0 or window.end > layout.n:
         raise too_short(layout.segments[index - 1 if window.start < 0 else index])
@@ -123,18 +115,15 @@ def make_transition(
     start = np.array([*guess.root_pos_w[0, :2], 0.0])  # the solution begins at x = y = 0
     arrays["root_pos_w"] = arrays["root_pos_w"] + start
     longest = max((s.duration for stances in planned for s in stances), default=0)
-    return Transition(
-        span=Span(window.start + _PAD, window.end - _PAD),
-        arrays=arrays,
-        measured={
-            "joint_speed_share": found.figures.peak["joint speed"],
-            "torque_share": found.figures.peak["torque"],
-            "friction": found.figures.peak["friction"],
-            "duration_s": (motion.n_samples - 2 * _PAD) / rate_hz,
-            "longest_stance_s": longest / rate_hz,
-            "least_feet": int(motion.contact.sum(axis=1).min()),
-        },
-    )
+    measured = {
+        "joint_speed_share": found.figures.peak["joint speed"],
+        "torque_share": found.figures.peak["torque"],
+        "friction": found.figures.peak["friction"],
+        "duration_s": (motion.n_samples - 2 * _PAD) / rate_hz,
+        "longest_stance_s": longest / rate_hz,
+        "least_feet": int(motion.contact.sum(axis=1).min()),
+    }
+    return Span(window.start + _PAD, window.end - _PAD), arrays, measured
 
 
 def _plan(

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NotRequired, TypedDict
+from typing import Any, Final
 
-from fastmimic.base.errors import ClipError, naming
+from fastmimic.base.errors import ClipError, check_positive, naming
 from fastmimic.base.files import packaged
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, pose_table, skeletons
+from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, skeletons
 from fastmimic.clips.formats.format import (
     FORMATS,
     Content,
@@ -24,7 +24,7 @@ from fastmimic.clips.formats.format import (
     suffixes,
 )
 from fastmimic.clips.formats.points import UP_AXES, parse_tracks, read_point_map
-from fastmimic.clips.formats.text_table import check_positive, check_rate
+from fastmimic.clips.formats.text_table import check_rate
 from fastmimic.clips.travel import with_travel
 
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
@@ -34,13 +34,13 @@ _READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[..., Any]]]]
     "csv": (csv_motion.detect, csv_motion.parse),
     "keypoints": (lambda content: keypoints.COLUMNS in content.columns, keypoints.parse),
     "points": (keypoints.names_points, keypoints.read_named),
-    "anipose": (lambda content: set(content.table.header or ()) >= pose_table.ANIPOSE, pose_table.read_anipose),
-    "deeplabcut": (pose_table.is_deeplabcut, pose_table.read_deeplabcut),
+    "anipose": (lambda content: set(content.table.header or ()) >= keypoints.ANIPOSE, keypoints.read_anipose),
+    "deeplabcut": (keypoints.is_deeplabcut, keypoints.read_deeplabcut),
     "bvh": (lambda content: content.start.startswith(skeletons.KEYWORD), skeletons.read_bvh),
     "deepmimic": (lambda content: content.start[:1] in ("{", "["), deepmimic.parse),
     "trajectory": (lambda content: content.members >= {"q.npy", "dt.npy"}, csv_motion.parse_arrays),
-    "hdf5": (lambda content: content.data.startswith(b"\x89HDF\r\n\x1a\n"), pose_table.read_hdf5),
-    "c3d": (pose_table.is_c3d, pose_table.read_c3d),
+    "hdf5": (lambda content: content.data.startswith(b"\x89HDF\r\n\x1a\n"), keypoints.read_hdf5),
+    "c3d": (keypoints.is_c3d, keypoints.read_c3d),
     "glb": (lambda content: content.data.startswith(b"glTF"), skeletons.read_glb),
     "ai4animation": (lambda content: content.members >= skeletons.AI4ANIMATION, skeletons.read_ai4animation),
 }
@@ -48,14 +48,9 @@ _READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[..., Any]]]]
 `point_map`."""
 
 
-class _Said(TypedDict):
-    about: str
-    suffixes: tuple[str, ...]
-    takes: tuple[str, ...]
-    binary: NotRequired[bool]
-
-
-for _name, _said in packaged("fastmimic.clips.formats", "formats.json", dict[str, _Said]).items():
+_Said = dict[str, str | bool | tuple[str, ...]]
+_SAID: Final[Any] = packaged("fastmimic.clips.formats", "formats.json", dict[str, _Said])
+for _name, _said in _SAID.items():
     _detect, _read = _READERS[_name]
     _parse = partial(parse_tracks, _read, _said["about"]) if "point_map" in _said["takes"] else _read
     FORMATS.register(Format(_name, detect=_detect, parse=_parse, **_said))
@@ -94,5 +89,5 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
 
 def with_scale(clip: Clip, scale: float) -> Clip:
     """The clip with a given positive factor from its size to the robot's; raises `ClipError`."""
-    check_positive(scale, "the scale")
+    check_positive(scale, "the scale", ClipError, f"{scale:g}")
     return replace(clip, scale=float(scale), meta=clip.meta | {"scale_given": float(scale)})

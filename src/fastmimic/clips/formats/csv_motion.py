@@ -46,7 +46,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     columns, names = _columns(header)
     largest = [np.inf if name in _TIME_NAMES else LARGEST for name in names]  # a time may count from 1970
     unused = [c for c in range(len(names)) if c not in columns and names[c] not in _TIME_NAMES]
-    values = to_array(table.rows, len(names), lambda c: names[c], "retargeted motion", largest, unused=unused)
+    values = to_array(table.rows, names, "retargeted motion", largest, unused=unused)
     rate, assumed = _rate(table, names, values, fps)
     if header is None:
         assumed.append("columns are root x y z, quaternion x y z w, then joints " + ", ".join(JOINT_NAMES))

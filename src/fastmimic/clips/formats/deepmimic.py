@@ -21,11 +21,11 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, JOINT_NAMES, LARGEST, LEFT
-from fastmimic.base.errors import ClipError, did_you_mean
+from fastmimic.base.errors import ClipError, check_positive, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse, rotate_planar
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
-from fastmimic.clips.formats.text_table import check_frames, check_positive, check_rate
+from fastmimic.clips.formats.text_table import check_frames, check_rate
 from fastmimic.robot.robot import ROBOT_NAMES, Robot, load_robot
 
 FRAME_NAMES: Final = (*(f"root {axis}" for axis in "xyz"), *(f"root quaternion {a}" for a in "xyzw"), *JOINT_NAMES)
@@ -227,5 +227,5 @@ def _rate(document: dict[str, Any]) -> float:
     duration = document["FrameDuration"]
     if isinstance(duration, bool) or not isinstance(duration, int | float) or not abs(duration) <= LARGEST:
         raise ClipError(f"FrameDuration is {json.dumps(duration)[:40]}; expected a number of seconds")
-    check_positive(duration, "FrameDuration", "s")
+    check_positive(duration, "FrameDuration", ClipError, f"{duration:g} s")
     return 1.0 / duration if duration > 1e-9 else np.inf

@@ -48,7 +48,7 @@ def read_bvh(text: str) -> Tracks:
     declared, frame_s = _rate(lines)
     columns = [f"{j.name} {channel}" for j in sorted(joints, key=lambda j: j.first) for channel in j.channels]
     rows = [Row(number, words) for number, words in lines]
-    values = to_array(rows, len(columns), columns.__getitem__, "a BVH's channels")
+    values = to_array(rows, columns, "a BVH's channels")
     if declared != len(values):
         raise ClipError(f"the file says that it has {declared} frames; it has {len(values)}: it may be truncated")
     skeleton = skeleton_of([joint.parent for joint in joints])

@@ -1,13 +1,13 @@
 """Tables of numbers as text: one frame a line, separated by commas, semicolons or white space."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
-from fastmimic.base.errors import ClipError
+from fastmimic.base.errors import ClipError, check_positive
 
 
 class Row(NamedTuple):
@@ -66,29 +66,28 @@ def is_number(field: str) -> bool:
 
 def to_array(
     rows: Sequence[Row],
-    columns: int,
-    column_name: Callable[[int], str],
+    names: Sequence[str],
     what: str,
     largest: float | Sequence[float] = LARGEST,
     gaps: Collection[int] = (),
     unread: list[str] | None = None,
     unused: Collection[int] = (),
 ) -> NDArray[np.float64]:
-    """The values of all rows, (rows, columns). `column_name` gives the name of a 0-based column and `what` the format,
-    for messages; `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be
-    NaN or empty; what is in the columns `unused` is not looked at, and NaN. Raises `ClipError`, with line and column:
-    wrong number of columns, or a value that is not a finite, sensible number; and for too few rows. With a list
-    `unread`, such lines are NaN in `gaps` and go on from their neighbours elsewhere, and a sentence on them is added to
-    the list; more than half are an error."""
+    """The values of all rows, (rows, columns). `names` are the columns' and `what` is the format, for messages;
+    `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be NaN or empty;
+    what is in the columns `unused` is not looked at, and NaN. Raises `ClipError`, with line and column: wrong number of
+    columns, or a value that is not a finite, sensible number; and for too few rows. With a list `unread`, such lines
+    are NaN in `gaps` and go on from their neighbours elsewhere, and a sentence on them is added to the list; more than
+    half are an error."""
     from scipy.interpolate import interp1d
 
+    columns = len(names)
     values, most = np.full((len(rows), columns), np.nan), np.broadcast_to(largest, columns)
     may_lack = np.isin(np.arange(columns), [*gaps, *unused])
     problems: dict[int, ClipError] = {}
     for i, row in enumerate(rows):
         try:
-            is_last = i == len(rows) - 1 and i > 0
-            values[i] = _numbers(row, columns, column_name, what, is_last, most, may_lack, unused)
+            values[i] = _numbers(row, names, what, i == len(rows) - 1 and i > 0, most, may_lack, unused)
         except ClipError as error:
             if unread is None:
                 raise
@@ -110,8 +109,7 @@ def to_array(
 
 def _numbers(
     row: Row,
-    columns: int,
-    column_name: Callable[[int], str],
+    names: Sequence[str],
     what: str,
     is_last: bool,
     largest: NDArray[np.float64],
@@ -119,9 +117,9 @@ def _numbers(
     unused: Collection[int],
 ) -> NDArray[np.float64]:
     number, fields = row
-    if len(fields) != columns:
+    if len(fields) != len(names):
         last = "; the last line: the file may be truncated" if is_last else ""
-        raise ClipError(f"line {number} has {len(fields)} columns; expected {columns} ({what}){last}")
+        raise ClipError(f"line {number} has {len(fields)} columns; expected {len(names)} ({what}){last}")
     fields = list(fields)
     for c in unused:
         fields[c] = "nan"
@@ -133,25 +131,19 @@ def _numbers(
         values = np.array(list(map(float, fields)))
     except ValueError:
         bad = next(c for c, field in enumerate(fields) if "_" in field or not is_number(field))
-        where, found = f"line {number}, column {bad + 1} ({column_name(bad)})", fields[bad].strip()[:20]
+        where, found = f"line {number}, column {bad + 1} ({names[bad]})", fields[bad].strip()[:20]
         raise ClipError(f"{where}: '{found}' is not a number") from None
     wrong = ~((np.abs(values) <= largest) | (may_lack & np.isnan(values)))
     if wrong.any():
         c = int(np.argmax(wrong))
         problem = "too large" if np.isfinite(values[c]) else "not finite"
-        raise ClipError(f"line {number}, column {c + 1} ({column_name(c)}): {values[c]:g} is {problem}")
+        raise ClipError(f"line {number}, column {c + 1} ({names[c]}): {values[c]:g} is {problem}")
     return values
-
-
-def check_positive(value: float, what: str, unit: str = "") -> None:
-    """Raises `ClipError` unless `value` is positive and finite."""
-    if not (np.isfinite(value) and value > 0):
-        raise ClipError(f"{what} must be positive, found {value:g}{unit and ' ' + unit}")
 
 
 def check_rate(rate_hz: float) -> None:
     """Raises `ClipError` unless a motion can have this frame rate."""
-    check_positive(rate_hz, "the frame rate", "Hz")
+    check_positive(rate_hz, "the frame rate", ClipError, f"{rate_hz:g} Hz")
     if not RATE_RANGE_HZ[0] <= rate_hz <= RATE_RANGE_HZ[1]:
         raise ClipError(f"the frame rate is {rate_hz:g} Hz; expected {RATE_RANGE_HZ[0]:g} to {RATE_RANGE_HZ[1]:g}")
 
