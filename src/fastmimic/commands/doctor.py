@@ -23,8 +23,7 @@ class Doctor:
     Exit status 0, also where something is missing: every verb says by itself what it lacks.
     """
 
-    json: bool = False
-    """Print one JSON object: what was tried, whether it works, and why not."""
+    json: bool = False  # Print one JSON object: what was tried, whether it works, and why not.
 
     def run(self) -> int:
         checks: dict[str, Callable[[], str]] = {

@@ -35,12 +35,9 @@ class Evaluate:
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
     deployment, scored without simulation. "steer": the robot goes at the velocities of --commands."""
-    episodes: int = 1
-    """Number of episodes."""
-    duration: opt.Seconds = None
-    """Length of an episode. Default: 10 s, or the whole of a non-periodic motion."""
-    seed: int = 0
-    """Seed of initial states and sensor noise."""
+    episodes: int = 1  # Number of episodes.
+    duration: opt.Seconds = None  # Length of an episode. Default: 10 s, or the whole of a non-periodic motion.
+    seed: int = 0  # Seed of initial states and sensor noise.
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
@@ -190,8 +187,7 @@ class Identify:
     configuration for --config FILE.json of other verbs.
     """
 
-    log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]
-    """Folder or log of a deployment."""
+    log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]  # Folder or log of a deployment.
     robot: Annotated[
         str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
     ] = None

@@ -49,19 +49,15 @@ class Compare:
 
     motions: Annotated[tuple[str, ...] | None, opt.option("MOTION ...")] = None
     """Names from 'fastmimic motions', or files. Default: the paper's four recordings."""
-    builtin: opt.Flag = False
-    """Use the built-in trot, pace, turn and side-step, which need no data."""
+    builtin: opt.Flag = False  # Use the built-in trot, pace, turn and side-step, which need no data.
     methods: Annotated[tuple[str, ...] | None, opt.option("METHOD ...")] = None
     """Methods to run. Default: all but those that optimise more than the paper does; rl if policies are given."""
     policy: Annotated[tuple[Path, ...], opt.option("FILE|FOLDER ...")] = ()
     """Trained policies for the method rl (policy.npz of 'fastmimic train') or folders with policies; one or more for
     each motion."""
-    seeds: int = 8
-    """Number of CMA-ES seeds, from 0. Methods without a search are deterministic and run once."""
-    ablations: opt.Flag = False
-    """Also run variants of mbc-dmp, each with one part removed or changed."""
-    duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the search's episodes."""
+    seeds: int = 8  # Number of CMA-ES seeds, from 0. Methods without a search are deterministic and run once.
+    ablations: opt.Flag = False  # Also run variants of mbc-dmp, each with one part removed or changed.
+    duration: Annotated[float, opt.option("S")] = 5.0  # Length of the search's episodes.
     robot: opt.RobotName = opt.DEFAULT_ROBOT
     config: opt.ConfigName = "default"
     workers: opt.Workers = None
@@ -193,11 +189,9 @@ class ExperimentOptions:
     """What experiments over methods share."""
 
     robot: opt.RobotChoice = None
-    seed: int = 0
-    """Seed of initial states, sensor noise, uneven ground and CMA-ES."""
+    seed: int = 0  # Seed of initial states, sensor noise, uneven ground and CMA-ES.
     config: opt.ConfigName = "default"
-    policy: Annotated[Path | None, opt.option("FILE")] = None
-    """Trained policy of the motion, for the method rl."""
+    policy: Annotated[Path | None, opt.option("FILE")] = None  # Trained policy of the motion, for the method rl.
     out: ResultsFolder
     clip: opt.ClipReading
     search: opt.Searching
@@ -261,18 +255,15 @@ class Stress(ExperimentOptions):
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
-    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
-    """Methods to run."""
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")  # Methods to run.
     disturbances: Annotated[
         tuple[str, ...] | None,
         opt.option(
             "NAME ...", lambda: f"Names, also of terrains: {', '.join([*DISTURBANCES, *TERRAINS])}. Default: all."
         ),
     ] = None
-    episodes: int = 20
-    """Episodes at each level: the first starts at the motion's start, the others at random phases."""
-    duration: Annotated[float, opt.option("S")] = 6.0
-    """Length of an episode."""
+    episodes: int = 20  # Episodes at each level: the first starts at the motion's start, the others at random phases.
+    duration: Annotated[float, opt.option("S")] = 6.0  # Length of an episode.
     simulator: opt.Simulator = "mujoco"
     observe: opt.Observation = "truth"
     ideal: opt.Ideal = False
@@ -317,12 +308,9 @@ class Transfer(ExperimentOptions):
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION ...")]
     """Robot motions (.npz; optimised ones are not re-optimised), clips, names from 'fastmimic motions', or folders of
     runs."""
-    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")
-    """Methods to run."""
-    trials: int = 3
-    """Trials of each motion and method under each condition."""
-    duration: Annotated[float, opt.option("S")] = 10.0
-    """Length of a trial."""
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")  # Methods to run.
+    trials: int = 3  # Trials of each motion and method under each condition.
+    duration: Annotated[float, opt.option("S")] = 10.0  # Length of a trial.
     identify: opt.Flag = False
     """Run (c) again with friction and payload identified from one run there, as on a real robot."""
     out: ResultsFolder = opt.RUNS / "transfer"

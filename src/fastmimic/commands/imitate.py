@@ -40,8 +40,7 @@ class SearchRun:
     robot: opt.RobotChoice = None
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"
-    seed: int = 0
-    """Seed of the search. The same seed gives the same result at any number of workers."""
+    seed: int = 0  # Seed of the search. The same seed gives the same result at any number of workers.
     workers: opt.Workers = None
     out: Annotated[Path | None, opt.option("FOLDER")] = None
     """Folder of the results. Default: runs/MOTION-ROBOT-METHOD-SEED, numbered if it exists."""
@@ -96,8 +95,7 @@ class Imitate(SearchRun):
     """Length of the episodes before and after, and at the most of the search's, which have three cycles."""
     warm_start: Annotated[Path | None, opt.option("FILE.npz")] = None
     """Start the search from the parameters of an optimised motion."""
-    no_optimize: opt.Flag = False
-    """Run the method without its search: mbc for mbc-dmp, lh for lh-dmp."""
+    no_optimize: opt.Flag = False  # Run the method without its search: mbc for mbc-dmp, lh for lh-dmp.
     search: opt.Searching
     clip: opt.ClipReading
 

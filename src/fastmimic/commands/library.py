@@ -45,46 +45,34 @@ class Build:
     sources: Annotated[Positional[tuple[str, ...]], opt.option("FOLDER|LIST|MOTION ...")]
     """Folders of clips, lists (.csv with a column 'source', or .list with one source a line), files, or names from
     'fastmimic motions'."""
-    out: Annotated[Path, opt.option("LIBRARY")]
-    """Folder of the library."""
+    out: Annotated[Path, opt.option("LIBRARY")]  # Folder of the library.
     robots: Annotated[tuple[str, ...], opt.option("NAME|FILE ...", f"{ROBOT_CHOICES}.")] = (opt.DEFAULT_ROBOT,)
-    seeds: int = 1
-    """Searches for each motion and robot."""
+    seeds: int = 1  # Searches for each motion and robot.
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"
-    duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the search's episodes."""
-    trial: Annotated[float, opt.option("S")] = 10.0
-    """Length of the test episodes."""
-    perturbed: int = 8
-    """Number of test episodes with perturbed starts."""
-    others: int = 16
-    """Number of other robots to test on: random ground, payload and motors from the usual ranges."""
-    no_second_simulator: opt.Flag = False
-    """Do not test in the second simulator, even if it is installed."""
+    duration: Annotated[float, opt.option("S")] = 5.0  # Length of the search's episodes.
+    trial: Annotated[float, opt.option("S")] = 10.0  # Length of the test episodes.
+    perturbed: int = 8  # Number of test episodes with perturbed starts.
+    others: int = 16  # Number of other robots to test on: random ground, payload and motors from the usual ranges.
+    no_second_simulator: opt.Flag = False  # Do not test in the second simulator, even if it is installed.
     confidence: Annotated[float, opt.option("SHARE")] = 0.5
     """Least confidence at which a cycle found in a take is imitated."""
     discrete: opt.Flag = False
     """Also imitate non-periodic movements in takes, such as turns, starts and stops; each runs once."""
-    whole: opt.Flag = False
-    """Imitate takes as they are, from start to end, instead of the cycles in them."""
-    frames: Annotated[str | None, opt.option("A:B")] = None
-    """Imitate these frames of each source as they are."""
+    whole: opt.Flag = False  # Imitate takes as they are, from start to end, instead of the cycles in them.
+    frames: Annotated[str | None, opt.option("A:B")] = None  # Imitate these frames of each source as they are.
     warm_start: Annotated[Path | None, opt.option("LIBRARY")] = None
     """Start each search from the most similar motion of a finished library."""
     exclude: Annotated[tuple[str, ...], opt.option("PATTERN ...")] = ()
     """Files of the folders to skip, such as '*_raw.txt'."""
-    licence: Annotated[str | None, opt.option("TEXT")] = None
-    """Licence of sources that state none."""
-    credit: Annotated[str | None, opt.option("TEXT")] = None
-    """Credit of sources that state none."""
+    licence: Annotated[str | None, opt.option("TEXT")] = None  # Licence of sources that state none.
+    credit: Annotated[str | None, opt.option("TEXT")] = None  # Credit of sources that state none.
     executor: Annotated[str, opt.option("local|ray")] = "local"
     """Where the jobs run: in processes here, or on a Ray cluster that has sources and library under the same paths."""
     address: Annotated[str | None, opt.option("HOST:PORT")] = None
     """Address of a running Ray cluster. Default: one is started here."""
     workers: opt.Workers = None
-    update: opt.Flag = False
-    """Rebuild a library that was built with other settings."""
+    update: opt.Flag = False  # Rebuild a library that was built with other settings.
     search: opt.Searching
     choice: opt.Choice = FinalChoice()
 
@@ -136,14 +124,10 @@ class Build:
 class _Choice:
     """The choice of motions in a library."""
 
-    robot: Annotated[str | None, opt.option("NAME")] = None
-    """Only of this robot."""
-    gait: Annotated[str | None, opt.option("NAME")] = None
-    """Only of this gait."""
-    grade: Annotated[tuple[str, ...], opt.option("A|B|C|rejected|failed ...")] = ()
-    """Only of these grades."""
-    all_seeds: opt.Flag = False
-    """All seeds instead of the best one of each motion and robot."""
+    robot: Annotated[str | None, opt.option("NAME")] = None  # Only of this robot.
+    gait: Annotated[str | None, opt.option("NAME")] = None  # Only of this gait.
+    grade: Annotated[tuple[str, ...], opt.option("A|B|C|rejected|failed ...")] = ()  # Only of these grades.
+    all_seeds: opt.Flag = False  # All seeds instead of the best one of each motion and robot.
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
         from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
@@ -238,11 +222,9 @@ class LibraryExport(_Choice):
     """Writes the motions of a library for other trainers, as 'fastmimic export' does, with a table of them."""
 
     library: LibraryFolder
-    to: Annotated[Path, opt.option("FOLDER")]
-    """Folder to write."""
+    to: Annotated[Path, opt.option("FOLDER")]  # Folder to write.
     format: ExportFormat = "mjlab"
-    fps: Annotated[float, opt.option("HZ")] = 50.0
-    """Frames per second."""
+    fps: Annotated[float, opt.option("HZ")] = 50.0  # Frames per second.
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset

@@ -79,8 +79,7 @@ class Robots:
 class Data:
     """Lists or downloads the public recordings of a dog; verifies each file by its hash."""
 
-    action: Annotated[Positional[str], opt.option("list|fetch")]
-    """List the datasets, or download them."""
+    action: Annotated[Positional[str], opt.option("list|fetch")]  # List the datasets, or download them.
     datasets: Annotated[Positional[tuple[str, ...]], opt.option("[DATASET ...]")] = ()
     """Datasets to download. Default: all."""
     folder: RecordingsFolder = None
@@ -131,8 +130,7 @@ class Inspect:
 
     source: Annotated[Positional[str], opt.option("FILE|NAME")]
     """A clip, a robot motion (.npz), a name from 'fastmimic motions', or the folder of a run."""
-    figure: Annotated[Path | None, opt.option("FILE.png")] = None
-    """Also draw gait, trunk and joints."""
+    figure: Annotated[Path | None, opt.option("FILE.png")] = None  # Also draw gait, trunk and joints.
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
@@ -262,8 +260,7 @@ class SegmentTake:
     too; 'imitate --frames A:B --discrete' runs such a movement once. Speeds are the animal's.
     """
 
-    take: Annotated[Positional[str], opt.option("FILE|NAME")]
-    """A clip, or a name from 'fastmimic motions'."""
+    take: Annotated[Positional[str], opt.option("FILE|NAME")]  # A clip, or a name from 'fastmimic motions'.
     json: opt.JsonFlag = False
     figure: Annotated[Path | None, opt.option("FILE.png")] = None
     """Also draw the segments over time, with feet, speed and heading."""
@@ -314,10 +311,8 @@ def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
 class Retarget:
     """Turns an animal's clip into a motion that the robot can execute, and prints what changed."""
 
-    clip: Annotated[Positional[str], opt.option("CLIP")]
-    """A clip file, or a name from 'fastmimic motions'."""
-    out: Annotated[Path, opt.option("FILE.npz")]
-    """File of the motion."""
+    clip: Annotated[Positional[str], opt.option("CLIP")]  # A clip file, or a name from 'fastmimic motions'.
+    out: Annotated[Path, opt.option("FILE.npz")]  # File of the motion.
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 

@@ -35,8 +35,7 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.steering.gait_field import GaitField
 
 DEFAULT_ROBOT: Final = "a1"
-STEER: Final = "steer"
-"""In place of a motion: the robot is steered."""
+STEER: Final = "steer"  # in place of a motion: the robot is steered
 MAX_DURATION_S: Final = 3600.0
 RUNS: Final = Path("runs")
 Result = TypeVar("Result")
@@ -160,16 +159,12 @@ class ClipOptions(ClipFileOptions):
 
     frames: Annotated[str | None, option("A:B")] = None
     """Part of the clip: first frame and end, 0-based, end exclusive."""
-    cycle: Flag = False
-    """Take the clip for one period and repeat it. Default: if its end leads back to its beginning."""
-    discrete: Flag = False
-    """Take the clip for a passage that does not repeat, and run it once."""
+    cycle: Flag = False  # Take the clip for one period and repeat it. Default: if its end leads back to its beginning.
+    discrete: Flag = False  # Take the clip for a passage that does not repeat, and run it once.
     scale: Annotated[float | None, option("FACTOR")] = None
     """Scale from the animal to the robot. Default: the ratio of the leg lengths."""
-    speed: Annotated[float | None, option("M/S")] = None
-    """Built-in gaits: speed at the A1's size."""
-    yaw_rate: Annotated[float | None, option("RAD/S")] = None
-    """Built-in gaits: yaw rate, positive to the left."""
+    speed: Annotated[float | None, option("M/S")] = None  # Built-in gaits: speed at the A1's size.
+    yaw_rate: Annotated[float | None, option("RAD/S")] = None  # Built-in gaits: yaw rate, positive to the left.
     duty: Annotated[float | None, option("SHARE")] = None
     """Built-in gaits: duty factor, the stance share of the period."""
     no_executable: Flag = False
@@ -207,28 +202,23 @@ class ClipOptions(ClipFileOptions):
 class SearchOptions:
     """The search of methods that optimise (CMA-ES)."""
 
-    iterations: Generations = None
-    """Generations of CMA-ES. Default: until the best reward stays the same, at most 200."""
-    population: int = 10
-    """Candidates in a generation."""
+    iterations: Generations = None  # Generations of CMA-ES. Default: until the best reward stays the same, at most 200.
+    population: int = 10  # Candidates in a generation.
 
 
 @dataclass(frozen=True, kw_only=True)
 class FolderOptions:
     """What happens if the folder already holds results."""
 
-    resume: Flag = False
-    """Keep what is finished in the folder and continue."""
-    overwrite: Flag = False
-    """Replace what is in the folder."""
+    resume: Flag = False  # Keep what is finished in the folder and continue.
+    overwrite: Flag = False  # Replace what is in the folder.
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoOptions:
     """The video of the result."""
 
-    no_video: Flag = False
-    """Write no video."""
+    no_video: Flag = False  # Write no video.
     quality: Quality = "preview"
 
     @property
@@ -241,8 +231,7 @@ class VideoOptions:
 FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
 ClipReading = Annotated[ClipOptions, OmitArgPrefixes]
 Searching = Annotated[SearchOptions, OmitArgPrefixes]
-Choice = Annotated[FinalChoice, Suppress]
-"""How a search chooses its result: a field without an option."""
+Choice = Annotated[FinalChoice, Suppress]  # how a search chooses its result: a field without an option
 Folder = Annotated[FolderOptions, OmitArgPrefixes]
 Video = Annotated[VideoOptions, OmitArgPrefixes]
 

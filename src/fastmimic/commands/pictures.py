@@ -44,13 +44,10 @@ class Render:
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION [MOTION ...]")]
     """One to four robot motions (.npz), folders of runs, clips, or names from 'fastmimic motions'."""
-    out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]
-    """File of the video."""
+    out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]  # File of the video.
     quality: opt.Quality = "preview"
-    kinematic: opt.Flag = False
-    """Show the motions as written, without physics."""
-    duration: opt.Seconds = None
-    """Length. Default: 5 s, or the whole of a non-periodic motion."""
+    kinematic: opt.Flag = False  # Show the motions as written, without physics.
+    duration: opt.Seconds = None  # Length. Default: 5 s, or the whole of a non-periodic motion.
     robot: opt.RobotChoice = None
     method: Annotated[
         tuple[str, ...],
@@ -62,10 +59,8 @@ class Render:
     """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
     frame_rate: Annotated[float | None, opt.option("HZ")] = None
     """Frames per second of the video. Default: 30; 20 for a GIF."""
-    slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0
-    """Slow the video down by this factor."""
-    no_marks: opt.Flag = False
-    """Omit the trails of the feet and the discs under loaded feet."""
+    slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0  # Slow the video down by this factor.
+    no_marks: opt.Flag = False  # Omit the trails of the feet and the discs under loaded feet.
     clip: opt.ClipReading
 
     def run(self) -> int:
@@ -233,8 +228,7 @@ class View:
     truth: Annotated[Path | None, opt.option("FILE")] = None
     """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     port: opt.Port = 8080
-    kinematic: opt.Flag = False
-    """Show the motion as written, without physics."""
+    kinematic: opt.Flag = False  # Show the motion as written, without physics.
     clip: Annotated[str | None, opt.option("CLIP")] = None
     """Animal to show beside a robot motion: a clip or a name. A clip is always shown with its own animal."""
     episodes: Annotated[int | None, opt.option("N")] = None
@@ -242,8 +236,7 @@ class View:
     Default: 1."""
     duration: opt.Seconds = None
     """Length of an episode. Default: the run's, else 10 s or the whole of a non-periodic motion."""
-    seed: int = 0
-    """Seed of the perturbations."""
+    seed: int = 0  # Seed of the perturbations.
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None

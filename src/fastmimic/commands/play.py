@@ -36,8 +36,7 @@ class Play:
     config: opt.ConfigName = "default"
     observe: opt.Observation = "truth"
     disturb: opt.Disturbances = ()
-    seed: int = 0
-    """Seed of sensor noise, disturbances and terrain."""
+    seed: int = 0  # Seed of sensor noise, disturbances and terrain.
     ideal: opt.Ideal = False
     terrain: opt.TerrainName = None
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]

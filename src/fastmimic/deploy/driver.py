@@ -28,8 +28,7 @@ WIRED: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "a1": ("fastmimic.deploy.a1_driver", "A1Driver", ()),
     "b2": _GO2,
     "a2": _GO2,
-}
-"""Drivers by robot: module, class, and names of the driver's own options. A B2 and an A2 have the Go2's messages."""
+}  # by robot: module, class, and names of the driver's own options. A B2 and an A2 have the Go2's messages.
 DRIVERS: Final = (*WIRED, SIM)
 
 

@@ -29,12 +29,9 @@ from fastmimic.runs.work_folder import MOTION, created
 ENDING: Final = ".mcap"
 LOG: Final = f"log{ENDING}"
 RESULT: Final = "deployment.json"
-PERIODS: Final = "/fastmimic/period"
-"""Topic of `ROW`."""
-TRUTH: Final = "/fastmimic/truth"
-"""Topic of a simulated robot's true states, (t,) of `OBSERVATION`, at the states used."""
-ROBOT_SIM: Final = "/fastmimic/robot_sim"
-"""Topic of `GROUND_TRUTH`."""
+PERIODS: Final = "/fastmimic/period"  # topic of `ROW`
+TRUTH: Final = "/fastmimic/truth"  # topic of a simulated robot's true states, (t,) of `OBSERVATION`, at the states used
+ROBOT_SIM: Final = "/fastmimic/robot_sim"  # topic of `GROUND_TRUTH`
 
 
 class _Ended(msgspec.Struct):
@@ -219,8 +216,7 @@ class LogWriter(Thread):
         self.recorder, self._file, self._columns = recorder, file, columns
         self._over = Event()
         self._written, self._until_s = 0, 0.0
-        self.ends: str | None = None
-        """When and why the log ends before the rows do."""
+        self.ends: str | None = None  # when and why the log ends before the rows do
 
     def __enter__(self) -> Self:
         self.start()

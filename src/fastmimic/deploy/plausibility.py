@@ -35,8 +35,7 @@ _MOVING_LOAD: Final = 0.3, 2.5  # the same, as a mean over `_LOAD_S` of the moti
 _LOAD_S: Final = 0.4
 _AXES: Final = "roll", "pitch", "yaw"
 
-Doubt = tuple[str, str]
-"""What cannot be believed (`IMU`, `JOINT` or `TORQUE`), and a line that says why."""
+Doubt = tuple[str, str]  # what cannot be believed (`IMU`, `JOINT` or `TORQUE`), and a line that says why
 
 
 _SUMS: Final = record_dtype(

@@ -138,8 +138,7 @@ class Violation:
 
 _LIMITS: Final = record_dtype(
     [*floats(joint_lower=12, joint_upper=12, speed_limit=12, torque_limit=12, dt=()), *record_fields(SafetyLimits)]
-)
-"""Limits of the robot, the period, and `SafetyLimits`, as the kernels read them."""
+)  # limits of the robot, the period, and `SafetyLimits`, as the kernels read them
 
 _FINE, _POSITION, _SPEED, _PEAK, _TORQUE, _TILT = range(6)
 _JOINT_CHECKS: Final = {
@@ -153,8 +152,7 @@ _NUMBER_CHECKS: Final = {
     StopReason.OVERRUN: ("overrun_s", 1e3, "a command was {:.1f} ms late; {:.0f} are allowed"),
     StopReason.QP_FAILURE: ("qp_failures", 1, "the stance QP failed {} times in a row; {} are allowed"),
     StopReason.POSTURE: ("posture", 1, "{:.2f} rad off the standing posture; {:g} are allowed"),
-}
-"""The limit of a number, the factor of both in the message, and the message."""
+}  # the limit of a number, the factor of both in the message, and the message
 
 
 @inlined

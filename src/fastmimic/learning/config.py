@@ -48,8 +48,7 @@ SETTINGS: Final = record_dtype(
         *floats(numerator=3, denominator=2),  # of the filter, without the leading 1
         *floats(home=12, lower=12, upper=12),  # rad; home: the target of a zero action
     ]
-)
-"""`PolicyConfig` and the robot's limits in the kernels' format."""
+)  # `PolicyConfig` and the robot's limits in the kernels' format
 
 
 def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:

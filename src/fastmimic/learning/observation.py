@@ -23,8 +23,7 @@ SENSES: Final = record_dtype(
         *floats(filter_in=(2, 12), filter_out=(2, 12), before=12, after=12),
         ("age", "i8"),  # control steps since the last action; −1 before the first
     ]
-)
-"""Memory of one robot between policy steps."""
+)  # memory of one robot between policy steps
 
 _FRAMES: Final = np.array(FRAMES, dtype=np.int64)
 

@@ -68,8 +68,7 @@ class Figure:
         return _HINTS[self.about or self.name].format(**self.told)
 
 
-Sections = Mapping[str, Sequence[Figure]]
-"""The figures of a page by section."""
+Sections = Mapping[str, Sequence[Figure]]  # the figures of a page by section
 BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")
 ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
