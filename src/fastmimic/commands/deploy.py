@@ -130,10 +130,8 @@ class Deploy:
             for name in opt.given(self.simulated):
                 raise ConfigError(f"{name} is for '--driver sim', not for a robot on the wire")
             if not (self.yes or self.dry_run or sys.stdin.isatty()):
-                raise ConfigError(
-                    "standard input is not a terminal, so nobody can confirm the start or stop the robot by a key;"
-                    " --yes starts without"
-                )
+                said = "standard input is not a terminal, so nobody can confirm the start or stop the robot by a key"
+                raise ConfigError(f"{said}; --yes starts without")
         elif opt.given(self, "interface", "domain") and not (self.publish or self.steered.topic):
             raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {SIM}'")
 
@@ -149,9 +147,8 @@ class Deploy:
                 raise ConfigError(f"{said}, or a motion made for it")
             driven = None
         if driven is not None and own is not None and own != driven:
-            raise ConfigError(
-                f"motion '{self.motion}' is for robot '{own}', and driver '{self.driver}' drives a {driven}"
-            )
+            said = f"motion '{self.motion}' is for robot '{own}'"
+            raise ConfigError(f"{said}, and driver '{self.driver}' drives a {driven}")
         if driven is not None and self.robot is not None and load_robot(self.robot).name != driven:
             raise ConfigError(f"driver '{self.driver}' drives a {driven}, not '{self.robot}'; leave out --robot")
         robot = load_robot(self.robot or driven or own or opt.DEFAULT_ROBOT)

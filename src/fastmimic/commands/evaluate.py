@@ -101,10 +101,8 @@ class Evaluate:
         script, config = CommandScript(self.steered.commands), controller_config(self.config or "default")
         seconds = self.duration or script.end_s or 0.0
         if round(seconds * config.rate_hz) < 1:
-            raise ConfigError(
-                f"{self.steered.commands}: there is no control step in {seconds:g} s; give it a later last time, or"
-                " a longer --duration"
-            )
+            said = f"{self.steered.commands}: there is no control step in {seconds:g} s"
+            raise ConfigError(f"{said}; give it a later last time, or a longer --duration")
         gaits = self.steered.gaits(self.robot)
         with slow_start():
             session = LiveSession(gaits.robot, {}, config=config, conditions=conditions, gaits=gaits)

@@ -169,10 +169,8 @@ class Stitch(SearchRun):
         if len(self.motions) < 2:
             raise ConfigError(f"stitch takes at least two motions, found {len(self.motions)}")
         if len(self.cycles) not in (0, 1, len(self.motions)):
-            raise ConfigError(
-                f"--cycles takes one number, or one for each of the {len(self.motions)} motions; found"
-                f" {len(self.cycles)}"
-            )
+            takes = f"--cycles takes one number, or one for each of the {len(self.motions)} motions"
+            raise ConfigError(f"{takes}; found {len(self.cycles)}")
         video = self.video.wanted
         self.check_search(self.method)
         sources = [find_motion(motion) for motion in self.motions]

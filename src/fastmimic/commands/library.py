@@ -98,9 +98,8 @@ class Build:
         from fastmimic.dataset import BuildRequest, BuildSettings, MotionDataset, find_sources
 
         if self.discrete and self.whole:
-            raise ConfigError(
-                "a take is run whole (--whole) or cut into its movements (--discrete): drop one of the two"
-            )
+            either = "a take is run whole (--whole) or cut into its movements (--discrete)"
+            raise ConfigError(f"{either}: drop one of the two")
         if not self.sources:
             raise ConfigError("no sources given; name folders, lists, clips or motions")
         sources = []

@@ -88,10 +88,8 @@ class Render:
                 marks=not self.no_marks,
             )
         if info is None:
-            raise OutputError(
-                f"{out} was not written: there is no OpenGL to draw with; 'fastmimic view' shows the same in a browser"
-                " without OpenGL"
-            )
+            said = f"{out} was not written: there is no OpenGL to draw with"
+            raise OutputError(f"{said}; 'fastmimic view' shows the same in a browser without OpenGL")
         put(f"{info.frames} frames, {info.seconds:.1f} s, {out.stat().st_size / 1e6:.1f} MB, in {out}")
         return 0
 
@@ -105,9 +103,8 @@ class Render:
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{name} must be positive, found {value:g}")
         if len(self.method) not in (0, 1, len(self.motions)):
-            raise ConfigError(
-                f"--method takes one name, or one for each of the {len(self.motions)} motions; found {len(self.method)}"
-            )
+            takes = f"--method takes one name, or one for each of the {len(self.motions)} motions"
+            raise ConfigError(f"{takes}; found {len(self.method)}")
         for name in self.method:
             method_named(name)
         opt.check_kinematic(self, "method", "config", "terrain")

@@ -32,16 +32,12 @@ def kind_of(folder: str | Path) -> str:
     if not path.is_dir():
         raise ConfigError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; give the folder of a run")
     if (path / POLICY_FILE).is_file():
-        raise ConfigError(
-            f"{path}: a policy of 'train' has no report; 'fastmimic evaluate MOTION --policy {path / POLICY_FILE}'"
-            " scores it"
-        )
+        scores = f"'fastmimic evaluate MOTION --policy {path / POLICY_FILE}' scores it"
+        raise ConfigError(f"{path}: a policy of 'train' has no report; {scores}")
     if (path / CONFIG).is_file():
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")
-    raise ConfigError(
-        f"{path}: not the folder of a run: neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress"
-        f" and transfer nor {DEPLOYMENT} of deploy"
-    )
+    files = f"neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress and transfer"
+    raise ConfigError(f"{path}: not the folder of a run: {files} nor {DEPLOYMENT} of deploy")
 
 
 def require_libraries() -> None:
