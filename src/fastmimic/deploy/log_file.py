@@ -22,8 +22,8 @@ from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Indices, Records
 from fastmimic.base.errors import DeploymentError, OutputError
 from fastmimic.base.files import from_json
 from fastmimic.base.text import plain
@@ -97,7 +97,7 @@ class LogFile:
         self._add_metadata("begin", metadata)
         self._sync()
 
-    def add_rows(self, time_ns: NDArray[np.int64], rows: Mapping[str, NDArray[Any]]) -> None:
+    def add_rows(self, time_ns: Indices, rows: Mapping[str, Records]) -> None:
         """Appends (t,) rows of each topic at times since 1970, ns."""
         for topic, channel in self._channels.items():
             size, content = rows[topic].itemsize, rows[topic].tobytes()
@@ -136,7 +136,7 @@ class LogFile:
 class LogContent(NamedTuple):
     """What a file holds."""
 
-    rows: dict[str, NDArray[Any]]  # (t,) by topic
+    rows: dict[str, Records]  # (t,) by topic
     attachments: dict[str, bytes]
     metadata: dict[str, Any]
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from numpy.typing import NDArray
-
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.computer import LoopClock, Rehearsal, StopSwitch, VirtualClock
 from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
@@ -188,7 +187,7 @@ class Loop:
         fresh: bool,
         phase: DeploymentPhase,
         moving: bool,
-        command: NDArray[Any],
+        command: Records,
         sent: bool,
         times: tuple[float, float, float],
     ) -> None:
@@ -227,7 +226,7 @@ class Loop:
             pass  # connection lost; the robot's watchdog damps it
         return self._outcome(violation.reason, violation.text, phase)
 
-    def _step_down(self, phase: DeploymentPhase, command: NDArray[Any]) -> None:
+    def _step_down(self, phase: DeploymentPhase, command: Records) -> None:
         """One period after the end: a command that needs no state."""
         if not self.dry:
             self.driver.write(command)

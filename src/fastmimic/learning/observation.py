@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
@@ -28,7 +28,7 @@ SENSES: Final = record_dtype(
 _FRAMES: Final = np.array(FRAMES, dtype=np.int64)
 
 
-def make_senses(n: int) -> NDArray[Any]:
+def make_senses(n: int) -> Records:
     """Records (n,) of `SENSES` for robots before their first step."""
     senses = np.zeros(n, SENSES)
     senses["age"] = -1

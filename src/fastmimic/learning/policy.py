@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, fingerprint
+from fastmimic.base.arrays import Array, Indices, Records, fingerprint
 from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError, PolicyError, naming
 from fastmimic.base.files import from_json, read_arrays, replace_file
@@ -43,7 +43,7 @@ _PLAIN: Final = {"robot": str, "motion": str, "samples": int, "activation": str,
 class Network(NamedTuple):
     """A policy in the kernels' format."""
 
-    sizes: NDArray[np.int64]  # (layers + 1,) widths, the observation's first
+    sizes: Indices  # (layers + 1,) widths, the observation's first
     parameters: Array  # all weights (inputs, outputs) and biases in sequence
     activation: int  # index into `ACTIVATIONS`, of all layers but the last
     mean: Array  # (observation,) of the normalisation
@@ -236,12 +236,12 @@ class PolicyController:
         self._seen = np.zeros((n, OBSERVATION_SIZE), np.float32)
         self._action = np.zeros((n, ACTION_SIZE))
 
-    def reset(self, sample: NDArray[np.int64]) -> None:
+    def reset(self, sample: Indices) -> None:
         """Clears the memory; leg states become those of the reference motion at `sample` (n,)."""
         begin_legs(self.memory, self.tables, sample)
         self._senses[...] = make_senses(len(self._senses))
 
-    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+    def step(self, observation: Records, clocks: Records) -> Records:
         """The next control step's commands, (n,), overwritten by the next call; from (n,) of `OBSERVATION`, `CLOCK`."""
         plan_legs(self._config, self.tables, clocks, observation, self.memory)
         if not 0 <= self._senses["age"][0] < self._settings["decimation"][0]:  # of all robots, which begin together

@@ -1,13 +1,12 @@
 """Tracks: poses of robots and animals over time for videos, made from logs, motions and clips."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base import rotations
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.export import at_samples
@@ -37,7 +36,7 @@ class Shown:
     robot: Array | None = None  # (n, 19) poses; None for no robot
     ghost: Array | None = None  # the same of its demonstration
     feet: Array | None = None  # (n, p, 4, 3) now and at the p - 1 moments before that a trail joins; None: no marks
-    contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
+    contact: Flags | None = None  # (n, 4) loaded feet
     terrain: Terrain | None = None
 
     def mark(self, view: "CameraView", frame: int, width: float) -> None:
@@ -60,7 +59,7 @@ class Track:
     title: str = ""  # first line of the panel, such as "before"
     caption: str = ""  # second line, such as "reward 0.84"
     ghost: Array | None = None  # (t, 19) the demonstration, drawn as a translucent robot; None for no ghost
-    contact: NDArray[np.bool_] | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
+    contact: Flags | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
     terrain: Terrain | None = None  # None for flat ground
 
     def __post_init__(self) -> None:
@@ -121,7 +120,7 @@ def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode:
     return Track(poses_of(robot), title, caption, poses_of(ghost), contact, log.terrain)
 
 
-def poses_of(states: NDArray[Any]) -> Array:
+def poses_of(states: Records) -> Array:
     """(t, 19) root position, quaternion and joints of states (t,)."""
     return np.hstack([states["root_pos"], states["root_quat"], states["joint_pos"]])
 
@@ -168,7 +167,7 @@ class Animal:
         points[..., 2] -= self._ground
         return points
 
-    def at(self, points: Array, sample: NDArray[np.int64] | int) -> Array:
+    def at(self, points: Array, sample: Indices | int) -> Array:
         """Such points (t, k, 3) at samples (n,) of the demonstration, or at one: (n, k, 3) or (k, 3)."""
         course = np.concatenate([points, points[:1]]) if self._periodic else points
         last = self._samples if self._periodic else max(self._samples - 1, 1)

@@ -17,10 +17,9 @@ import jinja2
 import numpy as np
 from markdown_it import MarkdownIt
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fastmimic import __version__
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, stretches
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.files import packaged, write_text
 from fastmimic.base.machine import optional
@@ -152,7 +151,7 @@ def time_plot(
     return Plot(title, data, layout_of("time (s)", y, height, span, yrange, shapes=list(shapes)), note)
 
 
-def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def shades(time: Array, stance: Flags) -> list[dict[str, Any]]:
     ends = np.append(time, time[-1])
     style = {"fillcolor": STANCE.color, "line": {"width": 0}, "layer": "below"}
     return [_upright("rect", float(ends[a]), float(ends[b]), style) for a, b in stretches(stance)]

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import optional
 from fastmimic.robot import Robot
@@ -215,7 +214,7 @@ class Player:
 
     rows: int
     rate_hz: float  # rows a second of real time
-    cycle_starts: NDArray[np.int64]  # first rows of the cycles, ascending from 0
+    cycle_starts: Indices  # first rows of the cycles, ascending from 0
     playing: bool = True
     speed: float = 1.0  # times real time, positive
     repeat: Repeat = "all"
@@ -337,7 +336,7 @@ class Viewer(WebPage):
             self.draw()
 
 
-def _longest(takes: Sequence["Take"]) -> tuple[int, float, NDArray[np.int64]]:
+def _longest(takes: Sequence["Take"]) -> tuple[int, float, Indices]:
     """Rows, rate and cycle starts of the longest take."""
     longest = max(takes, key=lambda take: take.rows)
     return longest.rows, longest.rate_hz, longest.cycle_starts
