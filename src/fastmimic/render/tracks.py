@@ -1,8 +1,9 @@
-"""Tracks: poses of robots and animals over time for videos, made from logs, motions and clips."""
+"""Tracks: poses of robots and animals over time for videos, made from logs, motions and clips; what a panel shows."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import mujoco
 import numpy as np
 
 from fastmimic.base import rotations
@@ -11,6 +12,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.export import at_samples
 from fastmimic.motion.motion import Motion
+from fastmimic.render.video_scene import CameraView, flatten, start_shadow
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.retargeting.track import extract
@@ -20,11 +22,11 @@ from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
-    from fastmimic.render.video_scene import CameraView
 
 _TRAIL_S: Final = 0.45
 _TRAIL_PIECES: Final = 14
 _TRAIL_STEP: Final = 0.002  # m; shorter pieces are not drawn, as the foot stands
+_BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Shown:
     contact: Flags | None = None  # (n, 4) loaded feet
     terrain: Terrain | None = None
 
-    def mark(self, view: "CameraView", frame: int, width: float) -> None:
+    def mark(self, view: CameraView, frame: int, width: float) -> None:
         """Draws the trails of the feet, `width` pixels wide, and discs under loaded feet."""
         if self.feet is None:
             return
@@ -172,3 +174,51 @@ class Animal:
         course = np.concatenate([points, points[:1]]) if self._periodic else points
         last = self._samples if self._periodic else max(self._samples - 1, 1)
         return interpolated(course, np.asarray(sample) / last * (len(course) - 1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShownAnimal(Shown):
+    """What the panel of an animal shows: its bones."""
+
+    bones: Array  # (n, b, 2, 3) their ends, world, m
+    radii: tuple[float, ...]  # (b,) m
+
+    def mark(self, view: CameraView, frame: int, width: float) -> None:
+        """Draws the bones as capsules, with their shadows."""
+        kind, zero = mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3)
+        for (start, end), radius in zip(self.bones[frame], self.radii, strict=True):
+            geom = view.add(kind, zero, zero, _BONE_RGBA)
+            mujoco.mjv_connector(geom, kind, radius, start, end)
+            geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
+            if not view.video_scene.quality.shadow_map:
+                shadow = view.add(kind, zero, zero, _BONE_RGBA)
+                start_shadow(geom, shadow)
+                flatten(geom, shadow)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AnimalTrack(Track):
+    """What an animal does: points and the bones between them."""
+
+    points: Array  # (t, k, 3) world, m
+    bones: tuple[tuple[int, int], ...]  # numbers of the points that each joins
+    radii: tuple[float, ...]  # of the bones, m
+
+    @classmethod
+    def of(
+        cls, clip: Clip, robot: Robot, motion: Motion, seconds: float, title: str = "", caption: str = ""
+    ) -> "AnimalTrack":
+        """The first `seconds` of a clip's animal, at the robot's size, on the path and at the rate of `motion`."""
+        animal, path = Animal(clip, robot, motion), motion_track(motion.target, seconds).pose
+        points = animal.at(animal.local(clip.drawn_w), np.arange(len(path)) % motion.target.n_samples)
+        heading = rotations.yaw_from_quat(path[:, 3:7])[:, None]
+        points[..., :2] = path[:, None, :2] + rotations.rotate_planar(heading, points[..., :2])
+        radii = tuple(animal.scale * radius for radius in clip.skeleton.radii)
+        return cls(path, title, caption, points=points, bones=clip.skeleton.bones, radii=radii)
+
+    def shown(self, robot: Robot, rate_hz: float, times: Array, *, marks: bool) -> Shown:
+        """What it shows in frames at `times` (n,) s."""
+        points = interpolated(self.points, rate_hz * times)
+        middle = (points.min(axis=1) + points.max(axis=1)) / 2
+        heading = float(np.arctan2(*(middle[-1] - middle[0])[1::-1]))  # of its travel
+        return ShownAnimal(middle, heading, bones=points[:, np.array(self.bones)], radii=self.radii)

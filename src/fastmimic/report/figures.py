@@ -29,9 +29,8 @@ from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import History
 from fastmimic.render import figure_style as style
-from fastmimic.render.animal import AnimalTrack
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, LEG_LINES, LIMIT, MUTED, STANCE
-from fastmimic.render.tracks import Track, rollout_track
+from fastmimic.render.tracks import AnimalTrack, Track, rollout_track
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
