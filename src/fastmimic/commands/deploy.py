@@ -37,18 +37,19 @@ STAND: Final = "stand"
 REAL_TIME: Final = {"auto": None, "on": True, "off": False}
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRobotOptions:
     """For '--driver sim' only."""
 
-    lock_step: opt.Flag = False  # Run as fast as possible and deterministically instead of in real time.
-    loss: Annotated[float, opt.option("SHARE")] = 0.0  # Share of the messages that are lost, in either direction.
+    lock_step: opt.Flag = False
+    loss: Annotated[float, opt.option("SHARE")] = 0.0
     latency_ms: Annotated[float, opt.option("MS")] = 0.0
-    """Latency of each message, in either direction, in addition to the sensors'."""
-    seed: int = 0  # Seed of the sensor noise and the message losses.
+    seed: int = 0
     disturb: opt.Disturbances = ()
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Deploy:
     """Stands up, blends into the motion, runs it, blends out and sits down, at 500 Hz, using onboard sensors only.
@@ -58,36 +59,26 @@ class Deploy:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), the folder of a run, a clip, a name from 'fastmimic motions', or "stand". A stitched
-    motion runs once. "steer": the robot goes at the velocities of --udp, --topic or --commands."""
     driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {', '.join(DRIVERS)} (simulated).")]
     interface: Annotated[str | None, opt.option("NAME")] = None
-    """Network interface of the robot. Default: lo, for a simulated one."""
     domain: Annotated[int | None, opt.option("N")] = None
-    """DDS domain of a Go2, and of --publish and --topic. Default: 0, for those two $ROS_DOMAIN_ID."""
-    cycles: Annotated[int | None, opt.option("N")] = None  # Number of cycles.
-    duration: opt.Seconds = None  # Duration of the motion without standing up and sitting down. Default: 10 s.
-    endless: opt.Flag = False  # Run until s or a stop.
+    cycles: Annotated[int | None, opt.option("N")] = None
+    duration: opt.Seconds = None
+    endless: opt.Flag = False
     robot: opt.RobotChoice = None
     foot_force: opt.FootForce = "auto"
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
     policy: opt.PolicyFile = None
     solve_rate: Annotated[float | None, opt.option("HZ")] = None
-    """Rate at which lh plans. Default: each control period, 500 Hz."""
-    limits: Annotated[Path | None, opt.option("FILE.toml")] = None  # Safety limits. Default: the robot's.
+    limits: Annotated[Path | None, opt.option("FILE.toml")] = None
     limit: Annotated[opt.Several, opt.option("NAME=VALUE ...")] = ()
-    """Safety limits, e.g. tilt=0.5. An unknown NAME lists them all."""
     dry_run: opt.Flag = False
-    """Compute and show the commands without sending them. Without a robot, the states are simulated."""
-    yes: opt.Flag = False  # Start without confirmation.
+    yes: opt.Flag = False
     real_time: Annotated[Literal["auto", "on", "off"], opt.option("auto|on|off")] = "auto"
-    """Real-time scheduling and locked memory. auto: where the system permits it."""
     out: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the results. Default: runs/deploy-MOTION-ROBOT-DRIVER, numbered if it exists."""
-    log: Annotated[Path | None, opt.option("FILE.mcap")] = None  # File of the log. Default: log.mcap in the folder.
+    log: Annotated[Path | None, opt.option("FILE.mcap")] = None
     publish: opt.Flag = False
-    """Publish joint_states, joint_commands, odom and tf over DDS while it runs, for RViz, Foxglove and ROS 2 nodes."""
     json: opt.JsonFlag = False
     simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes]
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]

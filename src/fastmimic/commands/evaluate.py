@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Evaluate:
     """Runs episodes of a motion in simulation and scores them against its demonstration.
@@ -33,11 +34,9 @@ class Evaluate:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
-    deployment, scored without simulation. "steer": the robot goes at the velocities of --commands."""
-    episodes: int = 1  # Number of episodes.
-    duration: opt.Seconds = None  # Length of an episode. Default: 10 s, or the whole of a non-periodic motion.
-    seed: int = 0  # Seed of initial states and sensor noise.
+    episodes: int = 1
+    duration: opt.Seconds = None
+    seed: int = 0
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
@@ -49,7 +48,6 @@ class Evaluate:
     terrain: opt.TerrainName = None
     ideal: opt.Ideal = False
     truth: Annotated[Path | None, opt.option("FILE")] = None
-    """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     json: opt.JsonFlag = False
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
     clip: opt.ClipReading
@@ -177,6 +175,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
     put_table(rows)
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Identify:
     """Estimates the ground's friction and the trunk's payload from a deployment; the result holds for all motions.
@@ -185,15 +184,13 @@ class Identify:
     configuration for --config FILE.json of other verbs.
     """
 
-    log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]  # Folder or log of a deployment.
+    log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]
     robot: Annotated[
         str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
     ] = None
     unloaded: Annotated[Path | None, opt.option("DEPLOYMENT")] = None
-    """A deployment of the same robot without payload; it cancels the gain errors of the sensors."""
     config: opt.ConfigName = "default"
     out: Annotated[Path | None, opt.option("FILE.json")] = None
-    """File of the configuration. Default: it is not written."""
 
     def run(self) -> int:
         from fastmimic.identification.identify import identify

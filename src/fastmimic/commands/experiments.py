@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.experiments.experiment import Subject
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Compare:
     """Runs several methods on several motions with several seeds, and writes tables and figures.
@@ -48,21 +49,16 @@ class Compare:
     """
 
     motions: Annotated[tuple[str, ...] | None, opt.option("MOTION ...")] = None
-    """Names from 'fastmimic motions', or files. Default: the paper's four recordings."""
-    builtin: opt.Flag = False  # Use the built-in trot, pace, turn and side-step, which need no data.
+    builtin: opt.Flag = False
     methods: Annotated[tuple[str, ...] | None, opt.option("METHOD ...")] = None
-    """Methods to run. Default: all but those that optimise more than the paper does; rl if policies are given."""
     policy: Annotated[tuple[Path, ...], opt.option("FILE|FOLDER ...")] = ()
-    """Trained policies for the method rl (policy.npz of 'fastmimic train') or folders with policies; one or more for
-    each motion."""
-    seeds: int = 8  # Number of CMA-ES seeds, from 0. Methods without a search are deterministic and run once.
-    ablations: opt.Flag = False  # Also run variants of mbc-dmp, each with one part removed or changed.
-    duration: Annotated[float, opt.option("S")] = 5.0  # Length of the search's episodes.
+    seeds: int = 8
+    ablations: opt.Flag = False
+    duration: Annotated[float, opt.option("S")] = 5.0
     robot: opt.RobotName = opt.DEFAULT_ROBOT
     config: opt.ConfigName = "default"
     workers: opt.Workers = None
     out: Annotated[Path, opt.option("FOLDER")] = opt.RUNS / "comparison"
-    """Folder of the results. One with a comparison needs --resume or --overwrite."""
     search: opt.Searching
     folder: opt.Folder
     choice: opt.Choice = FinalChoice()
@@ -184,14 +180,15 @@ ResultsFolder = Annotated[
 ]
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class ExperimentOptions:
     """What experiments over methods share."""
 
     robot: opt.RobotChoice = None
-    seed: int = 0  # Seed of initial states, sensor noise, uneven ground and CMA-ES.
+    seed: int = 0
     config: opt.ConfigName = "default"
-    policy: Annotated[Path | None, opt.option("FILE")] = None  # Trained policy of the motion, for the method rl.
+    policy: Annotated[Path | None, opt.option("FILE")] = None
     out: ResultsFolder
     clip: opt.ClipReading
     search: opt.Searching
@@ -244,6 +241,7 @@ class ExperimentOptions:
         put(folder.read(TABLE), f"results in {self.out}")
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Stress(ExperimentOptions):
     """Runs a motion over a range of each disturbance and measures how much it tolerates.
@@ -254,16 +252,15 @@ class Stress(ExperimentOptions):
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
-    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")  # Methods to run.
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
     disturbances: Annotated[
         tuple[str, ...] | None,
         opt.option(
             "NAME ...", lambda: f"Names, also of terrains: {', '.join([*DISTURBANCES, *TERRAINS])}. Default: all."
         ),
     ] = None
-    episodes: int = 20  # Episodes at each level: the first starts at the motion's start, the others at random phases.
-    duration: Annotated[float, opt.option("S")] = 6.0  # Length of an episode.
+    episodes: int = 20
+    duration: Annotated[float, opt.option("S")] = 6.0
     simulator: opt.Simulator = "mujoco"
     observe: opt.Observation = "truth"
     ideal: opt.Ideal = False
@@ -295,6 +292,7 @@ class Stress(ExperimentOptions):
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Transfer(ExperimentOptions):
     """Optimises motions in MuJoCo with the true state, then runs them without change under conditions that differ more
@@ -306,13 +304,10 @@ class Transfer(ExperimentOptions):
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION ...")]
-    """Robot motions (.npz; optimised ones are not re-optimised), clips, names from 'fastmimic motions', or folders of
-    runs."""
-    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")  # Methods to run.
-    trials: int = 3  # Trials of each motion and method under each condition.
-    duration: Annotated[float, opt.option("S")] = 10.0  # Length of a trial.
+    methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")
+    trials: int = 3
+    duration: Annotated[float, opt.option("S")] = 10.0
     identify: opt.Flag = False
-    """Run (c) again with friction and payload identified from one run there, as on a real robot."""
     out: ResultsFolder = opt.RUNS / "transfer"
 
     def run(self) -> int:

@@ -33,6 +33,7 @@ _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", 
 """Arguments that change where and how a run happens, but not its result."""
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class SearchRun:
     """The options of a search and of the folder that it writes."""
@@ -40,10 +41,9 @@ class SearchRun:
     robot: opt.RobotChoice = None
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"
-    seed: int = 0  # Seed of the search. The same seed gives the same result at any number of workers.
+    seed: int = 0
     workers: opt.Workers = None
     out: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the results. Default: runs/MOTION-ROBOT-METHOD-SEED, numbered if it exists."""
     folder: opt.Folder
     video: opt.Video
     choice: opt.Choice = FinalChoice()
@@ -80,6 +80,7 @@ class SearchRun:
                 raise
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Imitate(SearchRun):
     """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them in closed-loop
@@ -90,12 +91,9 @@ class Imitate(SearchRun):
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A name from 'fastmimic motions', a file, or the folder of a run."""
     duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the episodes before and after, and at the most of the search's, which have three cycles."""
     warm_start: Annotated[Path | None, opt.option("FILE.npz")] = None
-    """Start the search from the parameters of an optimised motion."""
-    no_optimize: opt.Flag = False  # Run the method without its search: mbc for mbc-dmp, lh for lh-dmp.
+    no_optimize: opt.Flag = False
     search: opt.Searching
     clip: opt.ClipReading
 
@@ -144,6 +142,7 @@ class Imitate(SearchRun):
             return opt.apply(imitate, self, self.search, self.folder, **given, **own)
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Stitch(SearchRun):
     """Joins motions into one, each repeated for several cycles, and optimises the DMPs of all of them together. The
@@ -154,16 +153,10 @@ class Stitch(SearchRun):
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION MOTION ...")]
-    """Two or more names from 'fastmimic motions', files, or folders of runs. A name takes precedence over a folder of
-    the same name (use ./NAME)."""
     cycles: Annotated[tuple[int, ...], opt.option("N [N ...]")] = ()
-    """Cycles of each motion: one number for all, or one for each. Default: about 3 s each."""
     iterations: opt.Generations = None
-    """Generations of CMA-ES in the joint search. Default: until the best reward stays the same, at most 200."""
     population: Annotated[int | None, opt.option("N")] = None
-    """Candidates in a generation. Default: the usual number of CMA-ES for the number of parameters."""
     part_iterations: opt.Generations = None
-    """Generations for each motion alone. Default: as many as in the joint search, or as it had before."""
 
     def run(self) -> int:
         if len(self.motions) < 2:

@@ -32,6 +32,7 @@ _LISTED: Final = (*("id", "name", "robot", "seed", "gait", "footfall", "grade"),
 """Columns that a list shows or is filtered by."""
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Build:
     """Builds a library of motions from folders, lists, files and names: finds the cycles in long takes, retargets and
@@ -43,36 +44,28 @@ class Build:
     """
 
     sources: Annotated[Positional[tuple[str, ...]], opt.option("FOLDER|LIST|MOTION ...")]
-    """Folders of clips, lists (.csv with a column 'source', or .list with one source a line), files, or names from
-    'fastmimic motions'."""
-    out: Annotated[Path, opt.option("LIBRARY")]  # Folder of the library.
+    out: Annotated[Path, opt.option("LIBRARY")]
     robots: Annotated[tuple[str, ...], opt.option("NAME|FILE ...", f"{ROBOT_CHOICES}.")] = (opt.DEFAULT_ROBOT,)
-    seeds: int = 1  # Searches for each motion and robot.
+    seeds: int = 1
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"
-    duration: Annotated[float, opt.option("S")] = 5.0  # Length of the search's episodes.
-    trial: Annotated[float, opt.option("S")] = 10.0  # Length of the test episodes.
-    perturbed: int = 8  # Number of test episodes with perturbed starts.
-    others: int = 16  # Number of other robots to test on: random ground, payload and motors from the usual ranges.
-    no_second_simulator: opt.Flag = False  # Do not test in the second simulator, even if it is installed.
+    duration: Annotated[float, opt.option("S")] = 5.0
+    trial: Annotated[float, opt.option("S")] = 10.0
+    perturbed: int = 8
+    others: int = 16
+    no_second_simulator: opt.Flag = False
     confidence: Annotated[float, opt.option("SHARE")] = 0.5
-    """Least confidence at which a cycle found in a take is imitated."""
     discrete: opt.Flag = False
-    """Also imitate non-periodic movements in takes, such as turns, starts and stops; each runs once."""
-    whole: opt.Flag = False  # Imitate takes as they are, from start to end, instead of the cycles in them.
-    frames: Annotated[str | None, opt.option("A:B")] = None  # Imitate these frames of each source as they are.
+    whole: opt.Flag = False
+    frames: Annotated[str | None, opt.option("A:B")] = None
     warm_start: Annotated[Path | None, opt.option("LIBRARY")] = None
-    """Start each search from the most similar motion of a finished library."""
     exclude: Annotated[tuple[str, ...], opt.option("PATTERN ...")] = ()
-    """Files of the folders to skip, such as '*_raw.txt'."""
-    licence: Annotated[str | None, opt.option("TEXT")] = None  # Licence of sources that state none.
-    credit: Annotated[str | None, opt.option("TEXT")] = None  # Credit of sources that state none.
+    licence: Annotated[str | None, opt.option("TEXT")] = None
+    credit: Annotated[str | None, opt.option("TEXT")] = None
     executor: Annotated[str, opt.option("local|ray")] = "local"
-    """Where the jobs run: in processes here, or on a Ray cluster that has sources and library under the same paths."""
     address: Annotated[str | None, opt.option("HOST:PORT")] = None
-    """Address of a running Ray cluster. Default: one is started here."""
     workers: opt.Workers = None
-    update: opt.Flag = False  # Rebuild a library that was built with other settings.
+    update: opt.Flag = False
     search: opt.Searching
     choice: opt.Choice = FinalChoice()
 
@@ -119,14 +112,15 @@ class Build:
         return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, cut, warm, folders)
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class _Choice:
     """The choice of motions in a library."""
 
-    robot: Annotated[str | None, opt.option("NAME")] = None  # Only of this robot.
-    gait: Annotated[str | None, opt.option("NAME")] = None  # Only of this gait.
-    grade: Annotated[tuple[str, ...], opt.option("A|B|C|rejected|failed ...")] = ()  # Only of these grades.
-    all_seeds: opt.Flag = False  # All seeds instead of the best one of each motion and robot.
+    robot: Annotated[str | None, opt.option("NAME")] = None
+    gait: Annotated[str | None, opt.option("NAME")] = None
+    grade: Annotated[tuple[str, ...], opt.option("A|B|C|rejected|failed ...")] = ()
+    all_seeds: opt.Flag = False
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
         from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
@@ -149,14 +143,13 @@ class _Choice:
         ]
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class ListMotions(_Choice):
     """Lists the motions of a library with their grades."""
 
     library: LibraryFolder
     superseded: opt.Flag = False
-    """List the outdated records instead, with the reason: another recipe, a changed source or robot, or a newer record
-    of the same motion."""
     json: opt.JsonFlag = False
 
     def run(self) -> int:
@@ -189,13 +182,13 @@ class ListMotions(_Choice):
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Show:
     """Prints the full record of a motion."""
 
     library: LibraryFolder
     motion: Annotated[Positional[str], opt.option("ID|NAME")]
-    """Id or name as in 'library list'; the beginning of an id is enough."""
     json: opt.JsonFlag = False
 
     def run(self) -> int:
@@ -216,14 +209,15 @@ class Show:
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class LibraryExport(_Choice):
     """Writes the motions of a library for other trainers, as 'fastmimic export' does, with a table of them."""
 
     library: LibraryFolder
-    to: Annotated[Path, opt.option("FOLDER")]  # Folder to write.
+    to: Annotated[Path, opt.option("FOLDER")]
     format: ExportFormat = "mjlab"
-    fps: Annotated[float, opt.option("HZ")] = 50.0  # Frames per second.
+    fps: Annotated[float, opt.option("HZ")] = 50.0
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset
@@ -243,6 +237,7 @@ class LibraryExport(_Choice):
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Verify:
     """Reads everything in a library and lists what is damaged; with --rerun also runs some motions again.
@@ -252,10 +247,7 @@ class Verify:
 
     library: LibraryFolder
     rerun: Annotated[int, opt.option("N")] = 0
-    """Run the nominal episodes of N random motions again and compare them with the records."""
     mend: opt.Flag = False
-    """Rewrite the index and remove orphaned files and damaged records, which the next build makes again. Refused while
-    a build is running."""
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset

@@ -52,12 +52,12 @@ class Motions:
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Robots:
     """Lists the built-in robots, or says what an MJCF or URDF is taken for, which --robot takes as well."""
 
     robot: Annotated[Positional[str | None], opt.option("[NAME|FILE]")] = None
-    """A robot's name, its MJCF or URDF, or a vendor's folder with one URDF. Default: a list."""
 
     def run(self) -> int:
         if self.robot is not None:
@@ -75,16 +75,15 @@ class Robots:
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Data:
     """Lists or downloads the public recordings of a dog; verifies each file by its hash."""
 
-    action: Annotated[Positional[str], opt.option("list|fetch")]  # List the datasets, or download them.
+    action: Annotated[Positional[str], opt.option("list|fetch")]
     datasets: Annotated[Positional[tuple[str, ...]], opt.option("[DATASET ...]")] = ()
-    """Datasets to download. Default: all."""
     folder: RecordingsFolder = None
     base_url: Annotated[str | None, opt.option("URL")] = None
-    """Server of the recordings. Default: $FASTMIMIC_DATA_URL, else the public original."""
 
     def run(self) -> int:
         if self.action not in ACTIONS:
@@ -121,6 +120,7 @@ class Data:
             put(f"licence: {licence}", f"credit: {credit}")
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Inspect:
     """Shows information about a file or a named motion: format, assumptions, frames, rate, period, speed, duty factor,
@@ -129,8 +129,7 @@ class Inspect:
     """
 
     source: Annotated[Positional[str], opt.option("FILE|NAME")]
-    """A clip, a robot motion (.npz), a name from 'fastmimic motions', or the folder of a run."""
-    figure: Annotated[Path | None, opt.option("FILE.png")] = None  # Also draw gait, trunk and joints.
+    figure: Annotated[Path | None, opt.option("FILE.png")] = None
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
@@ -253,6 +252,7 @@ def _modulated(dmp: DmpRecord) -> list[str]:
     ]
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class SegmentTake:
     """Finds the cycles in a take of any length. Prints first frame and end, gait, period, speed and yaw rate of each
@@ -260,10 +260,9 @@ class SegmentTake:
     too; 'imitate --frames A:B --discrete' runs such a movement once. Speeds are the animal's.
     """
 
-    take: Annotated[Positional[str], opt.option("FILE|NAME")]  # A clip, or a name from 'fastmimic motions'.
+    take: Annotated[Positional[str], opt.option("FILE|NAME")]
     json: opt.JsonFlag = False
     figure: Annotated[Path | None, opt.option("FILE.png")] = None
-    """Also draw the segments over time, with feet, speed and heading."""
     file: opt.FileReading
 
     def run(self) -> int:
@@ -307,12 +306,13 @@ def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
     )
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Retarget:
     """Turns an animal's clip into a motion that the robot can execute, and prints what changed."""
 
-    clip: Annotated[Positional[str], opt.option("CLIP")]  # A clip file, or a name from 'fastmimic motions'.
-    out: Annotated[Path, opt.option("FILE.npz")]  # File of the motion.
+    clip: Annotated[Positional[str], opt.option("CLIP")]
+    out: Annotated[Path, opt.option("FILE.npz")]
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 
@@ -329,6 +329,7 @@ class Retarget:
         return 0
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Export:
     """Writes a robot motion in a format that other trainers read.
@@ -340,16 +341,11 @@ class Export:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
     format: Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join((*EXPORTS, LEROBOT))}.")]
     out: Annotated[Path, opt.option("FILE")]
-    """File to write: .txt or .json for deepmimic and amp, .csv for csv, .npz for others; for lerobot a new folder."""
     rate: Annotated[float, opt.option("HZ")] = 50.0
-    """Frames per second; for a cycle, the nearest rate that divides it evenly, but for lerobot."""
     duration: opt.Seconds = None
-    """Length. Default: one cycle for deepmimic, which loops; else 10 s, or the whole of a non-periodic motion."""
     episodes: int | None = None
-    """For lerobot: number of runs, of which the first is unperturbed, as in 'fastmimic evaluate'. Default: 10."""
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 

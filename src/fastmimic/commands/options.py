@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.base.files import check_folder
+from fastmimic.base.files import check_folder, packaged
 from fastmimic.base.progress import count_progress, note
 from fastmimic.base.text import plain
 from fastmimic.clips.catalogue import parse_frames
@@ -39,6 +39,7 @@ STEER: Final = "steer"  # in place of a motion: the robot is steered
 MAX_DURATION_S: Final = 3600.0
 RUNS: Final = Path("runs")
 Result = TypeVar("Result")
+Kind = TypeVar("Kind")
 
 
 def option(metavar: str | None = None, text: str | Callable[[], str] | None = None) -> Any:
@@ -46,6 +47,14 @@ def option(metavar: str | None = None, text: str | Callable[[], str] | None = No
     shown unless it is None, False or empty: then the text says what happens without the option."""
     help_text: Any = text  # tyro calls functions, but does not declare it
     return arg(metavar=metavar, help=help_text, help_behavior_hint=_shown_default)
+
+
+def told(kind: type[Kind]) -> type[Kind]:
+    """A class decorator: the fields' help texts, of `help.json` by the names of class and field, in the docstring."""
+    texts = packaged("fastmimic.commands", "help.json", dict[str, dict[str, str]])[kind.__name__]
+    lines = "".join(f"\n        {name}: {text}" for name, text in texts.items())
+    kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:{lines}\n    "
+    return kind
 
 
 def _shown_default(default: str) -> str:
@@ -129,19 +138,15 @@ Port = Annotated[int, option("PORT", "Port of the page. If it is taken, the next
 JsonFlag = Annotated[bool, option(text="Print one JSON object and nothing else.")]
 
 
+@told
 @dataclass(frozen=True, kw_only=True)
 class ClipFileOptions:
     """How a clip file is read."""
 
     fps: Annotated[float | None, option("HZ")] = None
-    """Frame rate of the clip. Default: the rate in the file, or the usual one of its format."""
     up: Annotated[str | None, option("x|y|z|-x|-y|-z")] = None
-    """Vertical axis of the clip, e.g. --up z or --up=-y. Default: detected from the points."""
     point_map: Annotated[Path | None, option("FILE.json")] = None
-    """Names of the neck, pelvis, hips and toes among the file's points or joints. Default: guessed."""
     travel: Annotated[str | None, option("auto|recover|as-is")] = None
-    """The way of the trunk, from the standing feet: if it is missing, as on a treadmill (auto), always, or never.
-    Default: auto."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
@@ -153,22 +158,19 @@ class ClipFileOptions:
         return "".join(f" --{name.replace('_', '-')}={value}" for name, value in self.overrides().items())
 
 
+@told
 @dataclass(frozen=True, kw_only=True)
 class ClipOptions(ClipFileOptions):
     """How a clip is read and retargeted. None of these applies to a robot motion."""
 
     frames: Annotated[str | None, option("A:B")] = None
-    """Part of the clip: first frame and end, 0-based, end exclusive."""
-    cycle: Flag = False  # Take the clip for one period and repeat it. Default: if its end leads back to its beginning.
-    discrete: Flag = False  # Take the clip for a passage that does not repeat, and run it once.
+    cycle: Flag = False
+    discrete: Flag = False
     scale: Annotated[float | None, option("FACTOR")] = None
-    """Scale from the animal to the robot. Default: the ratio of the leg lengths."""
-    speed: Annotated[float | None, option("M/S")] = None  # Built-in gaits: speed at the A1's size.
-    yaw_rate: Annotated[float | None, option("RAD/S")] = None  # Built-in gaits: yaw rate, positive to the left.
+    speed: Annotated[float | None, option("M/S")] = None
+    yaw_rate: Annotated[float | None, option("RAD/S")] = None
     duty: Annotated[float | None, option("SHARE")] = None
-    """Built-in gaits: duty factor, the stance share of the period."""
     no_executable: Flag = False
-    """Stop at the kinematic motion: feet and trunk as the animal's, whether or not the robot can execute it."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
@@ -198,27 +200,30 @@ class ClipOptions(ClipFileOptions):
         return None if found.clip is None else found.open_clip(robot, **overrides)
 
 
+@told
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
     """The search of methods that optimise (CMA-ES)."""
 
-    iterations: Generations = None  # Generations of CMA-ES. Default: until the best reward stays the same, at most 200.
-    population: int = 10  # Candidates in a generation.
+    iterations: Generations = None
+    population: int = 10
 
 
+@told
 @dataclass(frozen=True, kw_only=True)
 class FolderOptions:
     """What happens if the folder already holds results."""
 
-    resume: Flag = False  # Keep what is finished in the folder and continue.
-    overwrite: Flag = False  # Replace what is in the folder.
+    resume: Flag = False
+    overwrite: Flag = False
 
 
+@told
 @dataclass(frozen=True, kw_only=True)
 class VideoOptions:
     """The video of the result."""
 
-    no_video: Flag = False  # Write no video.
+    no_video: Flag = False
     quality: Quality = "preview"
 
     @property
@@ -262,19 +267,15 @@ def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
     return load_robot(robot_name(robot, *sources))
 
 
+@told
 @dataclass(frozen=True, kw_only=True)
 class SteeredBy:
     """With "steer" in place of a motion."""
 
     gait: Annotated[tuple[str, ...], option("CLIP ...")] = ()
-    """An animal's gaits, the slowest first: one period each, or a take, of which the period that repeats best is taken.
-    Default: a built-in walk and trot."""
     udp: Annotated[int | None, option("PORT")] = None
-    """UDP port of this machine to which velocities come, as JSON like ROS's geometry_msgs/Twist."""
     topic: Annotated[str | None, option("NAME")] = None
-    """ROS 2 topic of geometry_msgs/Twist that velocities come from over DDS, e.g. cmd_vel."""
     commands: Annotated[Path | None, option("FILE.csv")] = None
-    """File of velocities. Each line: time, s, forwards, to the left, m/s, turning to the left, rad/s."""
 
     @contextmanager
     def opened(self, interface: str | None = None, domain: int | None = None) -> "Iterator[Commands | None]":

@@ -36,6 +36,7 @@ SECONDS: Final = 5.0
 MOST: Final = 4
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Render:
     """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost. Two motions are
@@ -43,11 +44,10 @@ class Render:
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION [MOTION ...]")]
-    """One to four robot motions (.npz), folders of runs, clips, or names from 'fastmimic motions'."""
-    out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]  # File of the video.
+    out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]
     quality: opt.Quality = "preview"
-    kinematic: opt.Flag = False  # Show the motions as written, without physics.
-    duration: opt.Seconds = None  # Length. Default: 5 s, or the whole of a non-periodic motion.
+    kinematic: opt.Flag = False
+    duration: opt.Seconds = None
     robot: opt.RobotChoice = None
     method: Annotated[
         tuple[str, ...],
@@ -56,11 +56,9 @@ class Render:
     config: opt.FoundConfig = None
     terrain: opt.TerrainName = None
     size: Annotated[str | None, opt.option("WxH")] = None
-    """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
     frame_rate: Annotated[float | None, opt.option("HZ")] = None
-    """Frames per second of the video. Default: 30; 20 for a GIF."""
-    slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0  # Slow the video down by this factor.
-    no_marks: opt.Flag = False  # Omit the trails of the feet and the discs under loaded feet.
+    slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0
+    no_marks: opt.Flag = False
     clip: opt.ClipReading
 
     def run(self) -> int:
@@ -148,6 +146,7 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
     return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class WriteReport:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
@@ -160,9 +159,7 @@ class WriteReport:
     """
 
     runs: Annotated[Positional[tuple[str, ...]], opt.option("RUN|MOTION ...")]
-    """Folders of runs, clips, robot motions (.npz), or names from 'fastmimic motions'."""
     out: Annotated[Path | None, opt.option("FILE.html")] = None
-    """File of the report, for a single run. Default: report.html in its folder."""
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 
@@ -211,6 +208,7 @@ class WriteReport:
         return command.make()[0]
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class View:
     """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
@@ -220,20 +218,13 @@ class View:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION|RUN")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
-    deployment, which is replayed."""
     truth: Annotated[Path | None, opt.option("FILE")] = None
-    """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     port: opt.Port = 8080
-    kinematic: opt.Flag = False  # Show the motion as written, without physics.
+    kinematic: opt.Flag = False
     clip: Annotated[str | None, opt.option("CLIP")] = None
-    """Animal to show beside a robot motion: a clip or a name. A clip is always shown with its own animal."""
     episodes: Annotated[int | None, opt.option("N")] = None
-    """Episodes to choose from. The first starts at the motion's start, the others are perturbed as in 'evaluate'.
-    Default: 1."""
     duration: opt.Seconds = None
-    """Length of an episode. Default: the run's, else 10 s or the whole of a non-periodic motion."""
-    seed: int = 0  # Seed of the perturbations.
+    seed: int = 0
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None

@@ -18,6 +18,7 @@ from fastmimic.runs.loading import find_motion
 from fastmimic.simulation.conditions import Conditions
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Play:
     """Simulates a robot under the controller live in the browser. Switch motions or steer, push the robot, change
@@ -27,16 +28,13 @@ class Play:
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
-    """Periodic motions: names from 'fastmimic motions', clips, robot motions (.npz) or folders of runs. Default: the
-    built-in gaits. "stand" and "in-place" are always available. "steer": the robot goes where keys, stick or sliders
-    point, forwards, sideways and turning, and stands when they are let go."""
     robot: opt.RobotChoice = None
     port: opt.Port = 8080
     method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
     config: opt.ConfigName = "default"
     observe: opt.Observation = "truth"
     disturb: opt.Disturbances = ()
-    seed: int = 0  # Seed of sensor noise, disturbances and terrain.
+    seed: int = 0
     ideal: opt.Ideal = False
     terrain: opt.TerrainName = None
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]

@@ -25,23 +25,23 @@ from fastmimic.simulation.config import ideal_sensors
 SIMULATED: Final = ("go2",)
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class FaultOptions:
     """Faults of the connection and of the robot."""
 
-    loss: Annotated[float, opt.option("SHARE")] = 0.0  # Share of the states that are lost.
-    corrupt: Annotated[float, opt.option("SHARE")] = 0.0  # Share of the states that arrive with a flipped bit.
-    duplicate: Annotated[float, opt.option("SHARE")] = 0.0  # Share of the states that arrive twice.
-    reorder: Annotated[float, opt.option("SHARE")] = 0.0  # Share of the states that arrive after the next one.
-    latency_ms: Annotated[float, opt.option("MS")] = 0.0  # Additional latency of the states.
-    command_loss: Annotated[float, opt.option("SHARE")] = 0.0  # Share of the commands that are lost.
+    loss: Annotated[float, opt.option("SHARE")] = 0.0
+    corrupt: Annotated[float, opt.option("SHARE")] = 0.0
+    duplicate: Annotated[float, opt.option("SHARE")] = 0.0
+    reorder: Annotated[float, opt.option("SHARE")] = 0.0
+    latency_ms: Annotated[float, opt.option("MS")] = 0.0
+    command_loss: Annotated[float, opt.option("SHARE")] = 0.0
     command_corrupt: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the commands that arrive with a flipped bit."""
-    command_latency_ms: Annotated[float, opt.option("MS")] = 0.0  # Additional latency of the commands.
+    command_latency_ms: Annotated[float, opt.option("MS")] = 0.0
     dead_after: opt.Seconds = None
-    """Time after which the robot falls silent, as if its computer had died. Default: never."""
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class RobotSim:
     """Simulates a Go2 that speaks the real DDS protocol: it runs in MuJoCo in real time, publishes its state and obeys
@@ -51,18 +51,15 @@ class RobotSim:
     """
 
     robot: Annotated[str, opt.option("NAME|FILE")] = "go2"
-    """go2, or your own robot's MJCF file for a body that uses the Go2's messages."""
-    interface: Annotated[str, opt.option("NAME")] = "lo"  # Network interface.
-    domain: Annotated[int, opt.option("N")] = 0  # DDS domain.
+    interface: Annotated[str, opt.option("NAME")] = "lo"
+    domain: Annotated[int, opt.option("N")] = 0
     start: Annotated[str, opt.option("lying|standing")] = "lying"
-    """Initial state: lying with limp motors, or standing under its own motion service, which ignores low-level commands
-    until it is released."""
-    sensors: Annotated[str, opt.option("real|ideal")] = "real"  # Sensors with or without noise, bias and latency.
-    seed: int = 0  # Seed of the sensor noise and the faults.
+    sensors: Annotated[str, opt.option("real|ideal")] = "real"
+    seed: int = 0
     disturb: opt.Disturbances = ()
-    watchdog_ms: Annotated[float, opt.option("MS")] = 20.0  # Time without a command after which the motors damp.
-    duration: opt.Seconds = None  # Time until it ends. Default: it runs until Ctrl-C.
-    log: Annotated[Path | None, opt.option("FILE.mcap")] = None  # File for the ground truth of what the robot did.
+    watchdog_ms: Annotated[float, opt.option("MS")] = 20.0
+    duration: opt.Seconds = None
+    log: Annotated[Path | None, opt.option("FILE.mcap")] = None
     json: opt.JsonFlag = False
     fault: Annotated[FaultOptions, OmitArgPrefixes]
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 PAPER_STEPS: Final = 100_000_000
 
 
+@opt.told
 @dataclass(frozen=True, kw_only=True)
 class Train:
     """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the RL baseline.
@@ -38,24 +39,18 @@ class Train:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A name from 'fastmimic motions', a file, or the folder of a run."""
     steps: int = PAPER_STEPS
-    """Actions of all robots together. A larger number continues a finished training with --resume."""
-    seed: int = 0  # Seed of weights, actions and episodes.
-    robots: int = 64  # Robots simulated in parallel.
-    hidden: tuple[int, ...] = (512, 256)  # Widths of the policy's hidden layers.
-    entropy: float = 0.0  # Weight of the entropy bonus.
+    seed: int = 0
+    robots: int = 64
+    hidden: tuple[int, ...] = (512, 256)
+    entropy: float = 0.0
     randomize: Annotated[tuple[str, ...], opt.option("NAME=LOWER:UPPER ...")] = ()
-    """Properties of robot and ground to randomise, e.g. friction=0.4:1.2 payload=0:2."""
-    evaluate_every: int = 500_000  # Steps between evaluations. The best evaluated policy is kept.
+    evaluate_every: int = 500_000
     device: Annotated[str, opt.option("auto|cpu|cuda")] = "auto"
-    """Device of the networks; the simulation runs on the CPU."""
     threads: Annotated[int | None, opt.option("N")] = None
-    """Threads of the simulation. Default: one per core. The result does not depend on it."""
-    update_threads: int = 1  # Threads of the networks on the CPU; more than one pays off only with many idle cores.
+    update_threads: int = 1
     robot: opt.RobotChoice = None
     out: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the results. Default: runs/MOTION-ROBOT-rl-SEED."""
     clip: opt.ClipReading
     folder: opt.Folder
 
