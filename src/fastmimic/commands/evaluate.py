@@ -16,7 +16,7 @@ from fastmimic.commands.show import check_truth, figure_rows, open_log, provenan
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.robot import ROBOT_CHOICES, load_robot
+from fastmimic.robot import load_robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.simulators import FIRST_SIMULATOR
 
@@ -185,9 +185,7 @@ class Identify:
     """
 
     log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]
-    robot: Annotated[
-        str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
-    ] = None
+    robot: Annotated[str | None, opt.shared("NAME|FILE", "log's robot")] = None
     unloaded: Annotated[Path | None, opt.option("DEPLOYMENT")] = None
     config: opt.ConfigName = "default"
     out: Annotated[Path | None, opt.option("FILE.json")] = None

@@ -27,9 +27,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder, of_finished
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
-from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -175,9 +173,7 @@ def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
         yield report
 
 
-ResultsFolder = Annotated[
-    Path, opt.option("FOLDER", "Folder of the results. One with results needs --resume or --overwrite.")
-]
+ResultsFolder = Annotated[Path, opt.shared("FOLDER", "results")]
 
 
 @opt.told
@@ -253,12 +249,7 @@ class Stress(ExperimentOptions):
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
-    disturbances: Annotated[
-        tuple[str, ...] | None,
-        opt.option(
-            "NAME ...", lambda: f"Names, also of terrains: {', '.join([*DISTURBANCES, *TERRAINS])}. Default: all."
-        ),
-    ] = None
+    disturbances: Annotated[tuple[str, ...] | None, opt.shared("NAME ...", "swept")] = None
     episodes: int = 20
     duration: Annotated[float, opt.option("S")] = 6.0
     simulator: opt.Simulator = "mujoco"

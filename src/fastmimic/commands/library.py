@@ -18,7 +18,6 @@ from fastmimic.commands.console import EXIT_SOME_FAILED, put, put_json, put_tabl
 from fastmimic.commands.motion_files import ExportFormat
 from fastmimic.executors import make_executor
 from fastmimic.optimize.parameters import FinalChoice
-from fastmimic.robot import ROBOT_CHOICES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
@@ -45,7 +44,7 @@ class Build:
 
     sources: Annotated[Positional[tuple[str, ...]], opt.option("FOLDER|LIST|MOTION ...")]
     out: Annotated[Path, opt.option("LIBRARY")]
-    robots: Annotated[tuple[str, ...], opt.option("NAME|FILE ...", f"{ROBOT_CHOICES}.")] = (opt.DEFAULT_ROBOT,)
+    robots: Annotated[tuple[str, ...], opt.shared("NAME|FILE ...", "robot")] = (opt.DEFAULT_ROBOT,)
     seeds: int = 1
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"

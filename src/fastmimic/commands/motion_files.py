@@ -30,9 +30,7 @@ LEROBOT: Final = "lerobot"  # the format of executed runs
 ExportFormat = Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join(EXPORTS)}.")]
 _SEGMENT: Final = ("frames", "gait", "footfall", "period", "best cycle", "confidence", "speed, m/s", "yaw, rad/s")
 ACTIONS: Final = ("list", "fetch")
-RecordingsFolder = Annotated[
-    Path | None, opt.option("FOLDER", "Folder of the recordings. Default: $FASTMIMIC_DATA, else the user's cache.")
-]
+RecordingsFolder = Annotated[Path | None, opt.shared("FOLDER", "recordings")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,6 +41,17 @@ RUNS: Final = Path("runs")
 Result = TypeVar("Result")
 Kind = TypeVar("Kind")
 
+_TEXTS: Final = packaged("fastmimic.commands", "help.json", dict[str, dict[str, str]])
+_NAMES: Final[dict[str, Callable[[], str]]] = {
+    "robots": lambda: ROBOT_CHOICES,
+    "configs": lambda: ", ".join(CONFIGS),
+    "methods": lambda: "; ".join(f"{name}: {m.summary}" for name, m in METHODS.items() if not m.learned),
+    "controllers": lambda: ", ".join(name for name, method in METHODS.items() if method.playable),
+    "simulators": lambda: ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items()),
+    "disturbances": lambda: ", ".join(DISTURBANCES),
+    "terrains": lambda: ", ".join(TERRAINS),
+}  # what stands for {these} in help texts: extensions may add to it
+
 
 def option(metavar: str | None = None, text: str | Callable[[], str] | None = None) -> Any:
     """An option's placeholder and help text; the text may be a function, which only `--help` calls. Its default is
@@ -49,38 +60,21 @@ def option(metavar: str | None = None, text: str | Callable[[], str] | None = No
     return arg(metavar=metavar, help=help_text, help_behavior_hint=_shown_default)
 
 
+def shared(metavar: str | None, name: str) -> Any:
+    """An option with one of the texts that stand in `help.json` for several verbs."""
+    text = _TEXTS["shared"][name]
+    return option(metavar, lambda: text.format(**{name: names() for name, names in _NAMES.items()}))
+
+
 def told(kind: type[Kind]) -> type[Kind]:
     """A class decorator: the fields' help texts, of `help.json` by the names of class and field, in the docstring."""
-    texts = packaged("fastmimic.commands", "help.json", dict[str, dict[str, str]])[kind.__name__]
-    lines = "".join(f"\n        {name}: {text}" for name, text in texts.items())
+    lines = "".join(f"\n        {name}: {text}" for name, text in _TEXTS[kind.__name__].items())
     kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:{lines}\n    "
     return kind
 
 
 def _shown_default(default: str) -> str:
     return "" if default in ("None", "False", "") else f"(default: {default})"
-
-
-def configs(more: str = "") -> str:
-    return f"Controller parameters: {', '.join(CONFIGS)}, or a JSON file.{more}"
-
-
-def methods() -> str:
-    return "; ".join(f"{name}: {method.summary}" for name, method in METHODS.items() if not method.learned)
-
-
-def controllers() -> str:
-    """The methods without a search, for a help text."""
-    return ", ".join(name for name, method in METHODS.items() if method.playable)
-
-
-def found_controller(more: str = "") -> str:
-    """A help text."""
-    return f"Controller: {controllers()}{more}. Default: the one the motion was optimised with, else mbc."
-
-
-def simulators() -> str:
-    return ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items())
 
 
 def joined(given: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
@@ -93,49 +87,23 @@ Generations = Annotated[int | None, option("N")]
 Several = UseAppendAction[tuple[tuple[str, ...], ...]]
 """Values of an option that may be given several times, with one or more values each."""
 Seconds = Annotated[float | None, option("S")]
-RobotChoice = Annotated[str | None, option("NAME|FILE", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
-RobotName = Annotated[str, option("NAME|FILE", f"{ROBOT_CHOICES}.")]
-MethodName = Annotated[str, option("NAME", lambda: f"Method: {methods()}.")]
-ConfigName = Annotated[str, option("NAME|FILE", configs)]
-FoundMethod = Annotated[str | None, option("NAME", found_controller)]
-FoundConfig = Annotated[
-    str | None,
-    option("NAME|FILE", lambda: configs(" Default: those the motion was optimised with, else default.")),
-]
-PolicyFile = Annotated[
-    Path | None, option("FILE", "Trained policy (policy.npz of 'fastmimic train') in place of the controller.")
-]
-Simulator = Annotated[str, option("NAME", lambda: f"Simulator: {simulators()}.")]
-Observation = Annotated[
-    str, option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors.")
-]
-FootForce = Annotated[
-    Literal["auto", "off", "on"],
-    option(
-        "auto|off|on", "Contact by joint torques, and by foot sensors found right; off: without; on: by them alone."
-    ),
-]
-Disturbances = Annotated[
-    Several,
-    option(
-        "NAME=VALUE ...",
-        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {', '.join(DISTURBANCES)}.",
-    ),
-]
-TerrainName = Annotated[
-    str | None,
-    option(
-        "NAME=LEVEL|FILE",
-        lambda: f"Ground, e.g. stairs-up=0.05 (m), or a file of heights, e.g. hills.npy. Names: {', '.join(TERRAINS)}.",
-    ),
-]
-Ideal = Annotated[bool, option(text="Motors with full torque at any speed; legs pass through each other.")]
-Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]
-Workers = Annotated[
-    int | None, option("N", "Parallel workers. Default: one per core. The results do not depend on it.")
-]
-Port = Annotated[int, option("PORT", "Port of the page. If it is taken, the next free one is used.")]
-JsonFlag = Annotated[bool, option(text="Print one JSON object and nothing else.")]
+RobotChoice = Annotated[str | None, shared("NAME|FILE", "found robot")]
+RobotName = Annotated[str, shared("NAME|FILE", "robot")]
+MethodName = Annotated[str, shared("NAME", "method")]
+ConfigName = Annotated[str, shared("NAME|FILE", "config")]
+FoundMethod = Annotated[str | None, shared("NAME", "found method")]
+FoundConfig = Annotated[str | None, shared("NAME|FILE", "found config")]
+PolicyFile = Annotated[Path | None, shared("FILE", "policy")]
+Simulator = Annotated[str, shared("NAME", "simulator")]
+Observation = Annotated[str, shared("truth|sensors", "observe")]
+FootForce = Annotated[Literal["auto", "off", "on"], shared("auto|off|on", "foot force")]
+Disturbances = Annotated[Several, shared("NAME=VALUE ...", "disturb")]
+TerrainName = Annotated[str | None, shared("NAME=LEVEL|FILE", "terrain")]
+Ideal = Annotated[bool, shared(None, "ideal")]
+Quality = Annotated[str, shared("preview|high", "quality")]
+Workers = Annotated[int | None, shared("N", "workers")]
+Port = Annotated[int, shared("PORT", "port")]
+JsonFlag = Annotated[bool, shared(None, "json")]
 
 
 @told

@@ -49,10 +49,7 @@ class Render:
     kinematic: opt.Flag = False
     duration: opt.Seconds = None
     robot: opt.RobotChoice = None
-    method: Annotated[
-        tuple[str, ...],
-        opt.option("NAME [NAME ...]", lambda: opt.found_controller("; one for all motions, or one for each")),
-    ] = ()
+    method: Annotated[tuple[str, ...], opt.shared("NAME [NAME ...]", "found methods")] = ()
     config: opt.FoundConfig = None
     terrain: opt.TerrainName = None
     size: Annotated[str | None, opt.option("WxH")] = None

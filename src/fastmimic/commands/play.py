@@ -30,7 +30,7 @@ class Play:
     motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
     robot: opt.RobotChoice = None
     port: opt.Port = 8080
-    method: Annotated[str, opt.option("NAME", lambda: f"Controller at the start: {opt.controllers()}.")] = "mbc"
+    method: Annotated[str, opt.shared("NAME", "first method")] = "mbc"
     config: opt.ConfigName = "default"
     observe: opt.Observation = "truth"
     disturb: opt.Disturbances = ()
