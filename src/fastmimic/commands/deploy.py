@@ -2,7 +2,7 @@
 
 import sys
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -37,8 +37,7 @@ STAND: Final = "stand"
 REAL_TIME: Final = {"auto": None, "on": True, "off": False}
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class SimulatedRobotOptions:
     """For '--driver sim' only."""
 
@@ -49,8 +48,7 @@ class SimulatedRobotOptions:
     disturb: opt.Disturbances = ()
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Deploy:
     """Stands up, blends into the motion, runs it, blends out and sits down, at 500 Hz, using onboard sensors only.
 

@@ -1,6 +1,5 @@
 """`fastmimic evaluate` scores a motion under the controller; `fastmimic identify` learns from the log of a run."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Evaluate:
     """Runs episodes of a motion in simulation and scores them against its demonstration.
 
@@ -175,8 +173,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
     put_table(rows)
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Identify:
     """Estimates the ground's friction and the trunk's payload from a deployment; the result holds for all motions.
 

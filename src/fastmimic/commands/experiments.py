@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -36,8 +36,7 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.experiments.experiment import Subject
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Compare:
     """Runs several methods on several motions with several seeds, and writes tables and figures.
 
@@ -176,8 +175,7 @@ def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
 ResultsFolder = Annotated[Path, opt.shared("FOLDER", "results")]
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class ExperimentOptions:
     """What experiments over methods share."""
 
@@ -237,8 +235,7 @@ class ExperimentOptions:
         put(folder.read(TABLE), f"results in {self.out}")
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Stress(ExperimentOptions):
     """Runs a motion over a range of each disturbance and measures how much it tolerates.
 
@@ -283,8 +280,7 @@ class Stress(ExperimentOptions):
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Transfer(ExperimentOptions):
     """Optimises motions in MuJoCo with the true state, then runs them without change under conditions that differ more
     and more.

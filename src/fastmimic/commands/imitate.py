@@ -4,7 +4,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -33,8 +32,7 @@ _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", 
 """Arguments that change where and how a run happens, but not its result."""
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class SearchRun:
     """The options of a search and of the folder that it writes."""
 
@@ -80,8 +78,7 @@ class SearchRun:
                 raise
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Imitate(SearchRun):
     """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them in closed-loop
     simulation.
@@ -142,8 +139,7 @@ class Imitate(SearchRun):
             return opt.apply(imitate, self, self.search, self.folder, **given, **own)
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Stitch(SearchRun):
     """Joins motions into one, each repeated for several cycles, and optimises the DMPs of all of them together. The
     search starts from the optimum of each motion; motions that are not optimised yet are optimised first.

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -31,8 +31,7 @@ _LISTED: Final = (*("id", "name", "robot", "seed", "gait", "footfall", "grade"),
 """Columns that a list shows or is filtered by."""
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Build:
     """Builds a library of motions from folders, lists, files and names: finds the cycles in long takes, retargets and
     optimises them, tests each motion from perturbed starts, on other robots and in a second simulator, grades it, and
@@ -111,8 +110,7 @@ class Build:
         return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, cut, warm, folders)
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class _Choice:
     """The choice of motions in a library."""
 
@@ -142,8 +140,7 @@ class _Choice:
         ]
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class ListMotions(_Choice):
     """Lists the motions of a library with their grades."""
 
@@ -181,8 +178,7 @@ class ListMotions(_Choice):
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Show:
     """Prints the full record of a motion."""
 
@@ -208,8 +204,7 @@ class Show:
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class LibraryExport(_Choice):
     """Writes the motions of a library for other trainers, as 'fastmimic export' does, with a table of them."""
 
@@ -236,8 +231,7 @@ class LibraryExport(_Choice):
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Verify:
     """Reads everything in a library and lists what is damaged; with --rerun also runs some motions again.
 
@@ -273,7 +267,7 @@ class Verify:
         return 0 if health.sound and not differing else EXIT_SOME_FAILED
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Libraries:
     """Builds, lists and checks libraries: datasets of motions that a robot can execute."""
 

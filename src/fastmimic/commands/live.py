@@ -6,7 +6,6 @@ import signal
 import threading
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -30,8 +29,7 @@ from fastmimic.simulation.config import ideal_sensors
 SIMULATED: Final = ("go2",)
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Play:
     """Simulates a robot under the controller live in the browser. Switch motions or steer, push the robot, change
     friction and payload, by mouse, keyboard or gamepad. A robot that falls gets up again.
@@ -98,8 +96,7 @@ class Play:
                 return serve(page, " and ".join(self.steered.gait) or opt.STEER, self.port)
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class FaultOptions:
     """Faults of the connection and of the robot."""
 
@@ -114,8 +111,7 @@ class FaultOptions:
     dead_after: opt.Seconds = None
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class RobotSim:
     """Simulates a Go2 that speaks the real DDS protocol: it runs in MuJoCo in real time, publishes its state and obeys
     low-level commands. 'fastmimic deploy' and Unitree's own SDK talk to it.

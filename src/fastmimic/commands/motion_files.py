@@ -1,6 +1,6 @@
 """Verbs without simulation: `motions`, `robots`, `data` (what there is), `inspect`, `segment`, `retarget`, `export`."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -33,7 +33,7 @@ ACTIONS: Final = ("list", "fetch")
 RecordingsFolder = Annotated[Path | None, opt.shared("FOLDER", "recordings")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Motions:
     """Lists the named motions: built-in gaits and recordings of a dog."""
 
@@ -50,8 +50,7 @@ class Motions:
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Robots:
     """Lists the built-in robots, or says what an MJCF or URDF is taken for, which --robot takes as well."""
 
@@ -73,8 +72,7 @@ class Robots:
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Data:
     """Lists or downloads the public recordings of a dog; verifies each file by its hash."""
 
@@ -118,8 +116,7 @@ class Data:
             put(f"licence: {licence}", f"credit: {credit}")
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Inspect:
     """Shows information about a file or a named motion: format, assumptions, frames, rate, period, speed, duty factor,
     swing clearance, joint limits, source and licence, and the parameters of an optimised motion. A clip is retargeted
@@ -250,8 +247,7 @@ def _modulated(dmp: DmpRecord) -> list[str]:
     ]
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class SegmentTake:
     """Finds the cycles in a take of any length. Prints first frame and end, gait, period, speed and yaw rate of each
     segment, and its cycle that closes best, for 'imitate --frames A:B'. Standing and non-periodic movement are listed
@@ -304,8 +300,7 @@ def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
     )
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Retarget:
     """Turns an animal's clip into a motion that the robot can execute, and prints what changed."""
 
@@ -327,8 +322,7 @@ class Retarget:
         return 0
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Export:
     """Writes a robot motion in a format that other trainers read.
 

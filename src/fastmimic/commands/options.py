@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, dataclass_transform
 
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
@@ -66,11 +66,14 @@ def shared(metavar: str | None, name: str) -> Any:
     return option(metavar, lambda: text.format(**{name: names() for name, names in _NAMES.items()}))
 
 
-def told(kind: type[Kind]) -> type[Kind]:
-    """A class decorator: the fields' help texts, of `help.json` by the names of class and field, in the docstring."""
-    lines = "".join(f"\n        {name}: {text}" for name, text in _TEXTS[kind.__name__].items())
-    kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:{lines}\n    "
-    return kind
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def command(kind: type[Kind]) -> type[Kind]:
+    """A class decorator of verbs and groups of options: a frozen dataclass whose fields, by keyword, are options. Their
+    help texts are those of `help.json` by the names of class and field; they end up in the docstring."""
+    texts = _TEXTS.get(kind.__name__, {})
+    lines = "".join(f"\n        {name}: {text}" for name, text in texts.items())
+    kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:{lines}\n    " if texts else kind.__doc__
+    return dataclass(frozen=True, kw_only=True)(kind)
 
 
 def _shown_default(default: str) -> str:
@@ -106,8 +109,7 @@ Port = Annotated[int, shared("PORT", "port")]
 JsonFlag = Annotated[bool, shared(None, "json")]
 
 
-@told
-@dataclass(frozen=True, kw_only=True)
+@command
 class ClipFileOptions:
     """How a clip file is read."""
 
@@ -126,8 +128,7 @@ class ClipFileOptions:
         return "".join(f" --{name.replace('_', '-')}={value}" for name, value in self.overrides().items())
 
 
-@told
-@dataclass(frozen=True, kw_only=True)
+@command
 class ClipOptions(ClipFileOptions):
     """How a clip is read and retargeted. None of these applies to a robot motion."""
 
@@ -168,8 +169,7 @@ class ClipOptions(ClipFileOptions):
         return None if found.clip is None else found.open_clip(robot, **overrides)
 
 
-@told
-@dataclass(frozen=True, kw_only=True)
+@command
 class SearchOptions:
     """The search of methods that optimise (CMA-ES)."""
 
@@ -177,8 +177,7 @@ class SearchOptions:
     population: int = 10
 
 
-@told
-@dataclass(frozen=True, kw_only=True)
+@command
 class FolderOptions:
     """What happens if the folder already holds results."""
 
@@ -186,8 +185,7 @@ class FolderOptions:
     overwrite: Flag = False
 
 
-@told
-@dataclass(frozen=True, kw_only=True)
+@command
 class VideoOptions:
     """The video of the result."""
 
@@ -235,8 +233,7 @@ def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
     return load_robot(robot_name(robot, *sources))
 
 
-@told
-@dataclass(frozen=True, kw_only=True)
+@command
 class SteeredBy:
     """With "steer" in place of a motion."""
 

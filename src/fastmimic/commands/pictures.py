@@ -5,7 +5,6 @@ import math
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -36,8 +35,7 @@ SECONDS: Final = 5.0
 MOST: Final = 4
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Render:
     """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost. Two motions are
     shown side by side, three or four in a 2 x 2 grid.
@@ -143,8 +141,7 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
     return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class WriteReport:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
     'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip, a
@@ -205,8 +202,7 @@ class WriteReport:
         return command.make()[0]
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class View:
     """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
     and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side.

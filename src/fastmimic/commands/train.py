@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -29,8 +28,7 @@ if TYPE_CHECKING:
 PAPER_STEPS: Final = 100_000_000
 
 
-@opt.told
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Train:
     """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the RL baseline.
 
