@@ -211,9 +211,8 @@ def _identified(found: "Identification", assumed: float, before: float) -> list[
     if friction.value is None or friction.upper is None:
         said = f"at least {friction.lower:.2f}: no foot slid"
     else:
-        said = (
-            f"{friction.value:.2f} (95 %: {friction.lower:.2f} to {friction.upper:.2f}), from {friction.slides} slides"
-        )
+        interval = f"{friction.lower:.2f} to {friction.upper:.2f}"
+        said = f"{friction.value:.2f} (95 %: {interval}), from {friction.slides} slides"
     changed = f"{before:g} as before" if assumed == before else f"{assumed:.2f} instead of {before:g}"
     rows = [("friction", said), ("  the controller assumes", changed)]
     if payload is None:

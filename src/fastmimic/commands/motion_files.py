@@ -63,9 +63,8 @@ class Robots:
         rows = [("name", "mass kg", "leg m", "torque N·m", "joint speed rad/s")]
         for name in ROBOT_NAMES:
             robot = load_robot(name)
-            torque, speed = (
-                " ".join(f"{v:g}" for v in limit[:3]) for limit in (robot.torque_limit, robot.joint_speed_limit)
-            )
+            limits = robot.torque_limit, robot.joint_speed_limit
+            torque, speed = (" ".join(f"{v:g}" for v in limit[:3]) for limit in limits)
             rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
         put_table(rows)
         note("your own: --robot FILE, an MJCF or URDF with abduction, hip and knee joints in each of four legs")

@@ -127,10 +127,8 @@ class Render:
         with slow_start():
             found = evaluate(motion, robot, conditions=opt.apply(Conditions, self), **options)
         caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
-        track = rollout_track(
-            found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
-        )
-        return track, found.rollout.course.rate_hz
+        loaded, title = found.config.release_force(robot), f"{motion.name} on {robot.name}"
+        return rollout_track(found.rollout, loaded, title, note=caption), found.rollout.course.rate_hz
 
 
 def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":

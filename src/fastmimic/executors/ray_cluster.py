@@ -7,7 +7,7 @@ installed package and the place of the files that jobs use.
 import logging
 import os
 import socket
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any, Final
@@ -15,7 +15,7 @@ from typing import Any, Final
 from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
 from fastmimic.base.files import packaged
 from fastmimic.base.machine import available_cores, optional
-from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
+from fastmimic.executors import ATTEMPTS, JobOutcome, Outcomes, Told, Work, attempt, check_workers
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0
@@ -55,9 +55,7 @@ class RayExecutor:
         cores = int(ray.cluster_resources().get("CPU", 1)) if ray.is_initialized() else available_cores()
         return cores if self._limit is None else min(cores, self._limit)
 
-    def run(
-        self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[JobOutcome, None, None]:
+    def run(self, work: Work, jobs: Iterable[Any], progress: Told | None = None) -> Outcomes:
         """As `Executor.run`; progress is reported only when a job is done."""
         ray = require_ray()
         own = not ray.is_initialized()

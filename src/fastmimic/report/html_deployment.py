@@ -41,9 +41,8 @@ def deployment_page(path: Path) -> HtmlReport:
         arguments = draw.said_arguments(about.get("arguments", {}))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
-    return render(
-        "deployment.html", sections, title=title, missing=missing, about=about, summary=summary, arguments=arguments
-    )
+    shown = {"about": about, "summary": summary, "arguments": arguments}
+    return render("deployment.html", sections, title=title, missing=missing, **shown)
 
 
 def _sections(log: DeploymentLog, result: dict[str, Any]) -> draw.Sections:

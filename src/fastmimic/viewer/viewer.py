@@ -85,9 +85,8 @@ def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: fl
     if aspect < _PORTRAIT:
         height -= 0.45 * half * distance  # the lower half is the controls'
     look_at = np.array([-np.sin(yaw) * middle, np.cos(yaw) * middle, height])
-    arm = distance * np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    level = np.cos(elevation)
+    arm = distance * np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     return look_at + arm, look_at
 
 
