@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json
-from fastmimic.deploy.log import LOG
-from fastmimic.deploy.log import RESULT as DEPLOYMENT
+from fastmimic.deploy.log import LOG, RESULT
 from fastmimic.learning.policy import POLICY_FILE
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
 
@@ -25,7 +24,7 @@ def kind_of(folder: str | Path) -> str:
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
-    if (path / DEPLOYMENT).is_file() or (path / LOG).is_file():
+    if (path / RESULT).is_file() or (path / LOG).is_file():
         return "deployment"
     if (path / ENVIRONMENT).is_file():
         return "results" if "experiment" in read_json(path / ENVIRONMENT) else "comparison"
@@ -37,7 +36,7 @@ def kind_of(folder: str | Path) -> str:
     if (path / CONFIG).is_file():
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")
     files = f"neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress and transfer"
-    raise ConfigError(f"{path}: not the folder of a run: {files} nor {DEPLOYMENT} of deploy")
+    raise ConfigError(f"{path}: not the folder of a run: {files} nor {RESULT} of deploy")
 
 
 def require_libraries() -> None:
