@@ -41,7 +41,7 @@ def deployment_page(path: Path) -> HtmlReport:
         arguments = draw.said_arguments(about.get("arguments", {}))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
-    shown = {"about": about, "summary": summary, "arguments": arguments}
+    shown: dict[str, Any] = {"about": about, "summary": summary, "arguments": arguments}
     return render("deployment.html", sections, title=title, missing=missing, **shown)
 
 
