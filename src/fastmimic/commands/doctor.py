@@ -25,7 +25,7 @@ class Doctor:
 
     json: bool = False  # Print one JSON object: what was tried, whether it works, and why not.
 
-    def run(self) -> int:
+    def run(self) -> None:
         checks: dict[str, Callable[[], str]] = {
             "compiled controller": _cache,
             "pictures and videos": _drawing,
@@ -39,10 +39,9 @@ class Doctor:
         if self.json:
             tried = {name: {"works": works, "said": said} for name, (works, said) in found.items()}
             put_json({"cores": available_cores(), "versions": versions(), "checks": tried})
-            return 0
+            return
         put(", ".join(f"{name} {version}" for name, version in versions().items()) + f"; {available_cores()} cores")
         put_table([(name, "works" if works else "no", said) for name, (works, said) in found.items()])
-        return 0
 
 
 def _tried(check: Callable[[], str]) -> tuple[bool, str]:

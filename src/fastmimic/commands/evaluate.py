@@ -50,7 +50,7 @@ class Evaluate:
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         self.steered.check(self.motion == opt.STEER, others_steer=False)
         if is_deployment_log(self.motion):
@@ -72,17 +72,16 @@ class Evaluate:
         figures = evaluation.as_dict() | self._world(conditions)
         if self.json:
             put_json(figures)
-            return 0
+            return
         note(provenance(motion))
         put_figures(figures, robot.name)
         put_world(conditions)
-        return 0
 
     def _world(self, conditions: Conditions) -> dict[str, Any]:
         disturbances = {d.name: d.values[0] for d in conditions.disturbances}
         return {"simulator": conditions.simulator, "disturbances": disturbances, "terrain": self.terrain}
 
-    def _steered(self, conditions: Conditions) -> int:
+    def _steered(self, conditions: Conditions) -> None:
         """Steers a robot by a script, as fast as it can be simulated."""
         from fastmimic.play.follow import SteeringFigures, follow
         from fastmimic.play.session import LiveSession
@@ -105,7 +104,7 @@ class Evaluate:
             found = follow(session, script.velocity, seconds, SteeringFigures()).as_dict()
         if self.json:
             put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))
-            return 0
+            return
         put(f"{gaits.robot.name}, steered for {seconds:g} s by {self.steered.commands}")
         gait = ", ".join(f"{name} {share:.0%}" for name, share in found["share_of_time"].items())
         errors = f"{number(found['velocity_error_m_s'])} m/s, {number(found['yaw_rate_error_rad_s'])} rad/s"
@@ -120,9 +119,8 @@ class Evaluate:
             ]
         )
         put_world(conditions)
-        return 0
 
-    def _deployed(self) -> int:
+    def _deployed(self) -> None:
         """Scores a deployment from its log."""
         from fastmimic.deploy.deployment import evaluation_of
 
@@ -132,11 +130,10 @@ class Evaluate:
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
         if self.json:
             put_json(figures)
-            return 0
+            return
         reference = "the simulator's ground truth" if log.truth is not None else "the robot's own estimate"
         put_figures(figures, robot.name)
         put(f"deployed by driver '{log.meta['driver']}'; scored by {reference}")
-        return 0
 
 
 def put_world(conditions: Conditions) -> None:
@@ -187,7 +184,7 @@ class Identify:
     config: opt.ConfigName = "default"
     out: Annotated[Path | None, opt.option("FILE.json")] = None
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.identification.identify import identify
 
         if self.out is not None:
@@ -203,7 +200,6 @@ class Identify:
         if self.out is not None:
             found.save(self.out, self.config)
             put(f"controller parameters in {self.out}; use them by --config {self.out}")
-        return 0
 
 
 def _identified(found: "Identification", assumed: float, before: float) -> list[tuple[str, str]]:

@@ -61,7 +61,7 @@ class Compare:
     choice: opt.Choice = FinalChoice()
     evaluation_s: Annotated[float, Suppress] = 10.0
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         plan = self._plan()
         from fastmimic.experiments.compare import prepare
@@ -88,7 +88,6 @@ class Compare:
                 raise
             of_finished(self.out)(write_comparison)(folder, plan, prepared.finished())
         put(*folder.read(TABLE, ABLATION_TABLE).splitlines(), f"results in {self.out}")
-        return 0
 
     def _plan(self) -> "ComparisonPlan":
         from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
@@ -254,7 +253,7 @@ class Stress(ExperimentOptions):
     ideal: opt.Ideal = False
     out: ResultsFolder = opt.RUNS / "stress"
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         from fastmimic.experiments.experiment import check_methods, finish_part, part_file
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of, sweep
@@ -277,7 +276,6 @@ class Stress(ExperimentOptions):
                         path = part_file(self.out / SWEEPS, method, name)
                         finish_part(path, subject.digest, partial(sweep, subject, name, robot, settings))
                         tell(k / len(planned), f"{method}, {name}", f"{k}/{len(planned)} {method}, {name}")
-        return 0
 
 
 @opt.command
@@ -297,7 +295,7 @@ class Transfer(ExperimentOptions):
     identify: opt.Flag = False
     out: ResultsFolder = opt.RUNS / "transfer"
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         from fastmimic.experiments.experiment import check_methods, finish_part, part_file
         from fastmimic.experiments.transfer import PARTS, TransferSettings, run_trials
@@ -328,4 +326,3 @@ class Transfer(ExperimentOptions):
                     with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
                         finish_part(path, subject.digest, partial(run_trials, subject, robot, settings))
                     note(f"{motion.name}, {method}: done")
-        return 0

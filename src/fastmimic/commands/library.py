@@ -148,7 +148,7 @@ class ListMotions(_Choice):
     superseded: opt.Flag = False
     json: opt.JsonFlag = False
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.dataset import MotionDataset
 
         library = MotionDataset.open(self.library)
@@ -157,7 +157,7 @@ class ListMotions(_Choice):
         chosen = self.chosen(library.index(() if self.json else _LISTED))
         if self.json:
             put_json({"motions": chosen})
-            return 0
+            return
         head = ("id", "name", "robot", "seed", "gait", "grade", "animal", "reward", "others", "success", "mpjpe, mm")
         put_table([(*head, "lacks"), *(_line(row) for row in chosen)], right=range(6, 11))
         put_summary(library)
@@ -165,17 +165,15 @@ class ListMotions(_Choice):
         put(*plan.problems)
         for line in plan.unreadable:
             note(f"damaged: {line}")
-        return 0
 
-    def _superseded(self, library: "MotionDataset") -> int:
+    def _superseded(self, library: "MotionDataset") -> None:
         found = library.gathered().superseded
         if self.json:
             put_json({"superseded": [asdict(old) for old in found]})
-            return 0
+            return
         lines = [(old.id[:8], old.name, old.robot, str(old.seed), old.why) for old in found]
         put_table([("id", "name", "robot", "seed", "why"), *lines])
         put(f"{len(found)} outdated records; 'fastmimic library verify {library.path} --mend' removes them")
-        return 0
 
 
 @opt.command
@@ -186,14 +184,14 @@ class Show:
     motion: Annotated[Positional[str], opt.option("ID|NAME")]
     json: opt.JsonFlag = False
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.dataset import MotionDataset
 
         library = MotionDataset.open(self.library)
         rows = library.find(self.motion)
         if self.json:
             put_json({"motions": rows})
-            return 0
+            return
         for i, row in enumerate(rows):
             if i:
                 put("")
@@ -201,7 +199,6 @@ class Show:
             put_table([(name, f"{v:.6g}" if isinstance(v, float) else str(v)) for name, v in known.items()])
             if row["motion_file"] is not None:
                 note(f"to see it: fastmimic view {library.path / row['motion_file']}")
-        return 0
 
 
 @opt.command
@@ -213,7 +210,7 @@ class LibraryExport(_Choice):
     format: ExportFormat = "mjlab"
     fps: Annotated[float, opt.option("HZ")] = 50.0
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.folder import NEEDED, export_library
 
@@ -228,7 +225,6 @@ class LibraryExport(_Choice):
         put(f"{len(chosen)} motions in {self.to}, listed in {index.name}")
         for licence in sorted({row["licence"] or "not stated" for row in chosen}):
             put(f"licence of the recordings: {licence}")
-        return 0
 
 
 @opt.command
@@ -281,7 +277,7 @@ class Libraries:
         ]
     ]
 
-    def run(self) -> int:
+    def run(self) -> int | None:
         return self.action.run()
 
 

@@ -49,7 +49,7 @@ class Play:
     terrain: opt.TerrainName = None
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.viewer.viewer import free_port, require_viser
 
         require_viser()
@@ -77,12 +77,12 @@ class Play:
                 session = LiveSession(robot, library, method=self.method, config=config, conditions=conditions)
             try:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:
-                    return serve(page, ", ".join(library.names), self.port)
+                    serve(page, ", ".join(library.names), self.port)
             finally:
                 # waits: the interpreter's own exit does not close the pool safely
                 executor.shutdown(cancel_futures=True)
 
-    def _steered(self, config: ControllerConfig, conditions: Conditions) -> int:
+    def _steered(self, config: ControllerConfig, conditions: Conditions) -> None:
         from fastmimic.play.page import PlayPage
         from fastmimic.play.session import LiveSession
 
@@ -93,7 +93,7 @@ class Play:
                     gaits.robot, {}, method=self.method, config=config, conditions=conditions, gaits=gaits
                 )
             with PlayPage(session, f"{gaits.robot.name}, steered", self.port, commands) as page:
-                return serve(page, " and ".join(self.steered.gait) or opt.STEER, self.port)
+                serve(page, " and ".join(self.steered.gait) or opt.STEER, self.port)
 
 
 @opt.command

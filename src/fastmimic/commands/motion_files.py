@@ -39,7 +39,7 @@ class Motions:
 
     folder: RecordingsFolder = None
 
-    def run(self) -> int:
+    def run(self) -> None:
         rows = describe(self.folder)
         cells = [(r.name, r.speed, "yes" if r.available else "no", r.about, r.source) for r in rows]
         put_table([("name", "speed", "here", "description", "source"), *cells])
@@ -47,7 +47,6 @@ class Motions:
             note(f"licence of the recordings: {licence}")
         if not all(r.available for r in rows):
             note("'fastmimic data fetch' downloads what is missing here")
-        return 0
 
 
 @opt.command
@@ -56,10 +55,10 @@ class Robots:
 
     robot: Annotated[Positional[str | None], opt.option("[NAME|FILE]")] = None
 
-    def run(self) -> int:
+    def run(self) -> None:
         if self.robot is not None:
             put(*describe_robot(load_robot(self.robot)))
-            return 0
+            return
         rows = [("name", "mass kg", "leg m", "torque N·m", "joint speed rad/s")]
         for name in ROBOT_NAMES:
             robot = load_robot(name)
@@ -68,7 +67,6 @@ class Robots:
             rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
         put_table(rows)
         note("your own: --robot FILE, an MJCF or URDF with abduction, hip and knee joints in each of four legs")
-        return 0
 
 
 @opt.command
@@ -80,12 +78,12 @@ class Data:
     folder: RecordingsFolder = None
     base_url: Annotated[str | None, opt.option("URL")] = None
 
-    def run(self) -> int:
+    def run(self) -> None:
         if self.action not in ACTIONS:
             raise ConfigError(f"data takes list or fetch, found '{self.action}'{did_you_mean(self.action, ACTIONS)}")
-        return self._list() if self.action == "list" else self._fetch()
+        (self._list if self.action == "list" else self._fetch)()
 
-    def _list(self) -> int:
+    def _list(self) -> None:
         if self.datasets or self.base_url:
             raise ConfigError("data list takes no dataset and no --base-url: it lists everything")
         found = list_datasets(self.folder)
@@ -93,9 +91,8 @@ class Data:
         put_table([("dataset", "files here", "description"), *rows])
         put(f"folder: {data_folder(self.folder)}")
         self._put_licence([d.name for d, _ in found])
-        return 0
 
-    def _fetch(self) -> int:
+    def _fetch(self) -> None:
         started = set()
 
         def progress(name: str, done: int, total: int) -> None:
@@ -107,7 +104,6 @@ class Data:
         paths = fetch(names, folder=self.folder, base_url=self.base_url, progress=progress)
         put(f"{len(paths)} files, verified, in {data_folder(self.folder)}")
         self._put_licence(names)
-        return 0
 
     def _put_licence(self, names: list[str] | None) -> None:
         chosen = [DATASETS[name] for name in (DATASETS if names is None else names)]
@@ -127,7 +123,7 @@ class Inspect:
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
         robot, motion, lines = self._read()
         put(*lines, *describe_motion(motion, robot))
@@ -137,7 +133,6 @@ class Inspect:
 
             save(motion_figure(motion, robot), figure)
             put(f"figure in {figure}")
-        return 0
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
         """The robot, its motion, and lines about the source file."""
@@ -258,7 +253,7 @@ class SegmentTake:
     figure: Annotated[Path | None, opt.option("FILE.png")] = None
     file: opt.FileReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
         parts = open_parts(self.take, **self.file.overrides())
         rate_hz, segments = parts[0][1].rate_hz, [s.later(first) for first, clip in parts for s in find_segments(clip)]
@@ -283,7 +278,6 @@ class SegmentTake:
             save(segments_figure(clip, own, Path(self.take).stem), figure)
             if not self.json:
                 put(f"figure in {figure}")
-        return 0
 
 
 def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
@@ -308,7 +302,7 @@ class Retarget:
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         out = opt.check_writable(self.out, ".npz")
         overrides = self.reading.overrides()
         source = find_motion(self.clip)
@@ -318,7 +312,6 @@ class Retarget:
         note_origin(robot, motion)
         put(*report.lines())
         put(f"{motion.n_samples} samples at {motion.rate_hz:g} Hz for {robot.name} in {out}")
-        return 0
 
 
 @opt.command
@@ -340,7 +333,7 @@ class Export:
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         if self.format not in (*EXPORTS, LEROBOT):
             raise unknown("format", self.format, (*EXPORTS, LEROBOT))
         if self.format != LEROBOT:
@@ -358,7 +351,6 @@ class Export:
         if motion.provenance.licence:
             note(f"licence of the motion: {motion.provenance.licence}")
         put(said)
-        return 0
 
     def _run_and_write(self, robot: Robot, motion: Motion) -> str:
         """Runs the motion and writes what the robot did; returns it in words."""

@@ -56,7 +56,7 @@ class Render:
     no_marks: opt.Flag = False
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         self._check()
         takes = "--size takes WIDTHxHEIGHT in pixels, such as 1280x720"
         size = None if self.size is None else parse_pair(self.size, r"(\d{2,4})[x×](\d{2,4})", takes)
@@ -84,7 +84,6 @@ class Render:
             said = f"{out} was not written: there is no OpenGL to draw with"
             raise OutputError(f"{said}; 'fastmimic view' shows the same in a browser without OpenGL")
         put(f"{info.frames} frames, {info.seconds:.1f} s, {out.stat().st_size / 1e6:.1f} MB, in {out}")
-        return 0
 
     def _check(self) -> None:
         """Raises `ConfigError` for options that cannot be used, before any long work."""
@@ -155,7 +154,7 @@ class WriteReport:
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         if not self.runs:
             raise ConfigError("report takes the folder of at least one run")
         if self.out is not None and len(self.runs) > 1:
@@ -182,7 +181,6 @@ class WriteReport:
                 note(f"fastmimic: warning: {line}")
             report.save(out)
             put(f"report in {out}")
-        return 0
 
     def _ran(self, motion: str) -> Path:
         """The folder of a run of a motion as it is."""
@@ -222,7 +220,7 @@ class View:
     terrain: opt.TerrainName = None
     reading: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         opt.check_kinematic(self, "episodes", "method", "config", "terrain")
         from fastmimic.viewer.viewer import Viewer, free_port, require_viser
@@ -237,7 +235,7 @@ class View:
             command = self if source.folder is None else self._of_run(source)
             robot, shown, heading, animal = command._prepare(source)
         with Viewer(robot, shown, heading, self.port, animal) as viewer:
-            return serve(viewer, heading, self.port)
+            serve(viewer, heading, self.port)
 
     def _deployed(self) -> "tuple[Robot, list[list[Take]], str, None]":
         from fastmimic.viewer.replay import deployment_take
@@ -310,8 +308,8 @@ class View:
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
 
 
-def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
-    """Serves a page until Ctrl-C; prints its address, and its port if `port` was taken. Returns the exit status."""
+def serve(page: "Viewer | PlayPage", what: str, port: int) -> None:
+    """Serves a page until Ctrl-C; prints its address, and its port if `port` was taken."""
     taken = page.server.get_port()
     if taken != port:
         note(f"port {port} is taken; listening on {taken} instead")
@@ -321,4 +319,3 @@ def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
         page.run(threading.Event())
     except KeyboardInterrupt:
         note("closed")
-    return 0

@@ -52,7 +52,7 @@ class Train:
     clip: opt.ClipReading
     folder: opt.Folder
 
-    def run(self) -> int:
+    def run(self) -> None:
         for name in ("steps", "evaluate_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
@@ -97,7 +97,6 @@ class Train:
             raise
         put(*_report(evaluations))
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
-        return 0
 
 
 def _identity(
