@@ -227,8 +227,7 @@ class Deploy:
             for line in found.noted:
                 note(f"fastmimic: dry run: {line}")
         if self.json:
-            put_json({**found.result, "log": str(log)})
-            return
+            return put_json({**found.result, "log": str(log)})
         put_table(summary_rows(found.result))
         put(f"log in {log}")
 

@@ -38,8 +38,7 @@ class Doctor:
         found |= {f"extra {name}": _installed(name, packages) for name, packages in _extras().items()}
         if self.json:
             tried = {name: {"works": works, "said": said} for name, (works, said) in found.items()}
-            put_json({"cores": available_cores(), "versions": versions(), "checks": tried})
-            return
+            return put_json({"cores": available_cores(), "versions": versions(), "checks": tried})
         put(", ".join(f"{name} {version}" for name, version in versions().items()) + f"; {available_cores()} cores")
         put_table([(name, "works" if works else "no", said) for name, (works, said) in found.items()])
 

@@ -71,8 +71,7 @@ class Evaluate:
             evaluation = opt.apply(evaluate, self, **given, duration_s=self.duration)
         figures = evaluation.as_dict() | self._world(conditions)
         if self.json:
-            put_json(figures)
-            return
+            return put_json(figures)
         note(provenance(motion))
         put_figures(figures, robot.name)
         put_world(conditions)
@@ -103,8 +102,7 @@ class Evaluate:
             session = LiveSession(gaits.robot, {}, config=config, conditions=conditions, gaits=gaits)
             found = follow(session, script.velocity, seconds, SteeringFigures()).as_dict()
         if self.json:
-            put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))
-            return
+            return put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))
         put(f"{gaits.robot.name}, steered for {seconds:g} s by {self.steered.commands}")
         gait = ", ".join(f"{name} {share:.0%}" for name, share in found["share_of_time"].items())
         errors = f"{number(found['velocity_error_m_s'])} m/s, {number(found['yaw_rate_error_rad_s'])} rad/s"
@@ -129,8 +127,7 @@ class Evaluate:
             figures = evaluation_of(robot, log, ControllerConfig.from_dict(log.meta["config"])).as_dict()
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
         if self.json:
-            put_json(figures)
-            return
+            return put_json(figures)
         reference = "the simulator's ground truth" if log.truth is not None else "the robot's own estimate"
         put_figures(figures, robot.name)
         put(f"deployed by driver '{log.meta['driver']}'; scored by {reference}")

@@ -156,8 +156,7 @@ class ListMotions(_Choice):
             return self._superseded(library)
         chosen = self.chosen(library.index(() if self.json else _LISTED))
         if self.json:
-            put_json({"motions": chosen})
-            return
+            return put_json({"motions": chosen})
         head = ("id", "name", "robot", "seed", "gait", "grade", "animal", "reward", "others", "success", "mpjpe, mm")
         put_table([(*head, "lacks"), *(_line(row) for row in chosen)], right=range(6, 11))
         put_summary(library)
@@ -169,8 +168,7 @@ class ListMotions(_Choice):
     def _superseded(self, library: "MotionDataset") -> None:
         found = library.gathered().superseded
         if self.json:
-            put_json({"superseded": [asdict(old) for old in found]})
-            return
+            return put_json({"superseded": [asdict(old) for old in found]})
         lines = [(old.id[:8], old.name, old.robot, str(old.seed), old.why) for old in found]
         put_table([("id", "name", "robot", "seed", "why"), *lines])
         put(f"{len(found)} outdated records; 'fastmimic library verify {library.path} --mend' removes them")
@@ -190,8 +188,7 @@ class Show:
         library = MotionDataset.open(self.library)
         rows = library.find(self.motion)
         if self.json:
-            put_json({"motions": rows})
-            return
+            return put_json({"motions": rows})
         for i, row in enumerate(rows):
             if i:
                 put("")
