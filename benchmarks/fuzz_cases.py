@@ -102,7 +102,7 @@ def stop_before_work() -> None:
         "deploy.sim_server:SimServer.__init__",
         "viewer.viewer:Viewer.__init__",
         "play.page:PlayPage.__init__",
-        "commands.play:ProcessPoolExecutor",
+        "commands.live:ProcessPoolExecutor",
         "steering.gait_field:_made",
         "render.video:render_video",
         "clips.data:_download",

@@ -15,8 +15,7 @@ import numpy as np
 import fastmimic as fm
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.render.animal import AnimalTrack
-from fastmimic.render.tracks import Track, motion_track, rollout_track
+from fastmimic.render.tracks import AnimalTrack, Track, motion_track, rollout_track
 from fastmimic.render.video import render_video
 from fastmimic.robot import load_robot
 

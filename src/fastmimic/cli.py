@@ -98,8 +98,7 @@ def _dispatch(arguments: list[str], without_option: Mapping[str, Any]) -> int:
         logger.setLevel(logging.INFO)  # of long work
     load_extensions()
     try:
-        status: int = _filled(_parse(first, rest), without_option).run()
-        return status
+        return _filled(_parse(first, rest), without_option).run() or 0  # a verb that only succeeds returns nothing
     except _UsageError as error:
         return _fail(f"{error} (see 'fastmimic {first} --help')")
     except SystemExit as stop:  # --help

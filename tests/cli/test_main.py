@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 import fastmimic
 from cli.running import Run
 from fastmimic import cli
+from fastmimic.base.files import packaged
 from fastmimic.commands.motion_files import Robots
 
 HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch", "casadi")
@@ -31,6 +33,17 @@ def test_help_lists_every_verb(run: Run) -> None:
     assert groups[0] == "Make a motion:"
     assert len(groups) == len(cli.GROUPS)
     assert done.err == ""
+
+
+def test_the_table_of_help_texts_is_of_options() -> None:
+    texts = packaged("fastmimic.commands", "help.json", dict[str, dict[str, str]])
+    modules = [
+        import_module(f"fastmimic.commands.{name}") for name in ("options", *{v.module for v in cli.VERBS.values()})
+    ]
+    kinds = {kind.__name__: kind for module in modules for kind in vars(module).values() if is_dataclass(kind)}
+    assert {name for name in texts if name != "shared"} <= set(kinds)
+    for name, kind in kinds.items():
+        assert set(texts.get(name, {})) <= {field.name for field in fields(kind)}
 
 
 def test_without_arguments_there_is_help_on_stderr_and_a_status(run: Run) -> None:

@@ -14,8 +14,7 @@ from fastmimic.base.files import write_json
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
-from fastmimic.render.animal import AnimalTrack
-from fastmimic.render.tracks import Track
+from fastmimic.render.tracks import AnimalTrack, Track
 from fastmimic.report.figures import write_video
 from fastmimic.runs.loading import load_motion
 from fastmimic.runs.work_folder import RunFolder, default_folder, open_run

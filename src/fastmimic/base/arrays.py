@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 Records = NDArray[Any]  # of a type with fields, such as those of `fastmimic.robot.state`
 
 

@@ -7,12 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
-EXIT_INTERRUPTED: Final = 130
-"""As a shell reports SIGINT."""
-EXIT_SOME_FAILED: Final = 3
-"""Some sources or motions failed; everything else is done."""
-EXIT_CUT_OFF: Final = 4
-"""All went as planned, but the log or the figures are not on the disk."""
+EXIT_INTERRUPTED: Final = 130  # as a shell reports SIGINT
+EXIT_SOME_FAILED: Final = 3  # some sources or motions failed; everything else is done
+EXIT_CUT_OFF: Final = 4  # all went as planned, but the log or the figures are not on the disk
 
 KEPT: Final = "finished parts are kept; the same command with --resume continues"
 

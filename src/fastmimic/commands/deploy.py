@@ -2,7 +2,7 @@
 
 import sys
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -32,28 +32,23 @@ if TYPE_CHECKING:
     from fastmimic.deploy.state_machine import StateMachine
     from fastmimic.steering.commands import Commands
 
-EXIT_VIOLATION: Final = 3
-"""Exit status: a safety limit was exceeded and the joints were damped."""
+EXIT_VIOLATION: Final = 3  # exit status: a safety limit was exceeded and the joints were damped
 STAND: Final = "stand"
 REAL_TIME: Final = {"auto": None, "on": True, "off": False}
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class SimulatedRobotOptions:
     """For '--driver sim' only."""
 
     lock_step: opt.Flag = False
-    """Run as fast as possible and deterministically instead of in real time."""
     loss: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the messages that are lost, in either direction."""
     latency_ms: Annotated[float, opt.option("MS")] = 0.0
-    """Latency of each message, in either direction, in addition to the sensors'."""
     seed: int = 0
-    """Seed of the sensor noise and the message losses."""
     disturb: opt.Disturbances = ()
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Deploy:
     """Stands up, blends into the motion, runs it, blends out and sits down, at 500 Hz, using onboard sensors only.
 
@@ -62,42 +57,26 @@ class Deploy:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), the folder of a run, a clip, a name from 'fastmimic motions', or "stand". A stitched
-    motion runs once. "steer": the robot goes at the velocities of --udp, --topic or --commands."""
     driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {', '.join(DRIVERS)} (simulated).")]
     interface: Annotated[str | None, opt.option("NAME")] = None
-    """Network interface of the robot. Default: lo, for a simulated one."""
     domain: Annotated[int | None, opt.option("N")] = None
-    """DDS domain of a Go2, and of --publish and --topic. Default: 0, for those two $ROS_DOMAIN_ID."""
     cycles: Annotated[int | None, opt.option("N")] = None
-    """Number of cycles."""
     duration: opt.Seconds = None
-    """Duration of the motion without standing up and sitting down. Default: 10 s."""
     endless: opt.Flag = False
-    """Run until s or a stop."""
     robot: opt.RobotChoice = None
     foot_force: opt.FootForce = "auto"
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
     policy: opt.PolicyFile = None
     solve_rate: Annotated[float | None, opt.option("HZ")] = None
-    """Rate at which lh plans. Default: each control period, 500 Hz."""
     limits: Annotated[Path | None, opt.option("FILE.toml")] = None
-    """Safety limits. Default: the robot's."""
     limit: Annotated[opt.Several, opt.option("NAME=VALUE ...")] = ()
-    """Safety limits, e.g. tilt=0.5. An unknown NAME lists them all."""
     dry_run: opt.Flag = False
-    """Compute and show the commands without sending them. Without a robot, the states are simulated."""
     yes: opt.Flag = False
-    """Start without confirmation."""
     real_time: Annotated[Literal["auto", "on", "off"], opt.option("auto|on|off")] = "auto"
-    """Real-time scheduling and locked memory. auto: where the system permits it."""
     out: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the results. Default: runs/deploy-MOTION-ROBOT-DRIVER, numbered if it exists."""
     log: Annotated[Path | None, opt.option("FILE.mcap")] = None
-    """File of the log. Default: log.mcap in the folder."""
     publish: opt.Flag = False
-    """Publish joint_states, joint_commands, odom and tf over DDS while it runs, for RViz, Foxglove and ROS 2 nodes."""
     json: opt.JsonFlag = False
     simulated: Annotated[SimulatedRobotOptions, OmitArgPrefixes]
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
@@ -140,10 +119,8 @@ class Deploy:
             for name in opt.given(self.simulated):
                 raise ConfigError(f"{name} is for '--driver sim', not for a robot on the wire")
             if not (self.yes or self.dry_run or sys.stdin.isatty()):
-                raise ConfigError(
-                    "standard input is not a terminal, so nobody can confirm the start or stop the robot by a key;"
-                    " --yes starts without"
-                )
+                said = "standard input is not a terminal, so nobody can confirm the start or stop the robot by a key"
+                raise ConfigError(f"{said}; --yes starts without")
         elif opt.given(self, "interface", "domain") and not (self.publish or self.steered.topic):
             raise ConfigError(f"--interface and --domain are for a robot on the wire, not for '--driver {SIM}'")
 
@@ -159,9 +136,8 @@ class Deploy:
                 raise ConfigError(f"{said}, or a motion made for it")
             driven = None
         if driven is not None and own is not None and own != driven:
-            raise ConfigError(
-                f"motion '{self.motion}' is for robot '{own}', and driver '{self.driver}' drives a {driven}"
-            )
+            said = f"motion '{self.motion}' is for robot '{own}'"
+            raise ConfigError(f"{said}, and driver '{self.driver}' drives a {driven}")
         if driven is not None and self.robot is not None and load_robot(self.robot).name != driven:
             raise ConfigError(f"driver '{self.driver}' drives a {driven}, not '{self.robot}'; leave out --robot")
         robot = load_robot(self.robot or driven or own or opt.DEFAULT_ROBOT)
@@ -251,8 +227,7 @@ class Deploy:
             for line in found.noted:
                 note(f"fastmimic: dry run: {line}")
         if self.json:
-            put_json({**found.result, "log": str(log)})
-            return
+            return put_json({**found.result, "log": str(log)})
         put_table(summary_rows(found.result))
         put(f"log in {log}")
 

@@ -23,10 +23,9 @@ class Doctor:
     Exit status 0, also where something is missing: every verb says by itself what it lacks.
     """
 
-    json: bool = False
-    """Print one JSON object: what was tried, whether it works, and why not."""
+    json: bool = False  # Print one JSON object: what was tried, whether it works, and why not.
 
-    def run(self) -> int:
+    def run(self) -> None:
         checks: dict[str, Callable[[], str]] = {
             "compiled controller": _cache,
             "pictures and videos": _drawing,
@@ -39,11 +38,9 @@ class Doctor:
         found |= {f"extra {name}": _installed(name, packages) for name, packages in _extras().items()}
         if self.json:
             tried = {name: {"works": works, "said": said} for name, (works, said) in found.items()}
-            put_json({"cores": available_cores(), "versions": versions(), "checks": tried})
-            return 0
+            return put_json({"cores": available_cores(), "versions": versions(), "checks": tried})
         put(", ".join(f"{name} {version}" for name, version in versions().items()) + f"; {available_cores()} cores")
         put_table([(name, "works" if works else "no", said) for name, (works, said) in found.items()])
-        return 0
 
 
 def _tried(check: Callable[[], str]) -> tuple[bool, str]:

@@ -1,6 +1,5 @@
 """`fastmimic evaluate` scores a motion under the controller; `fastmimic identify` learns from the log of a run."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +15,7 @@ from fastmimic.commands.show import check_truth, figure_rows, open_log, provenan
 from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.estimation.config import EstimatorConfig
-from fastmimic.robot import ROBOT_CHOICES, load_robot
+from fastmimic.robot import load_robot
 from fastmimic.simulation.conditions import Conditions
 from fastmimic.simulation.simulators import FIRST_SIMULATOR
 
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from fastmimic.identification.identify import Identification
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Evaluate:
     """Runs episodes of a motion in simulation and scores them against its demonstration.
 
@@ -33,14 +32,9 @@ class Evaluate:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
-    deployment, scored without simulation. "steer": the robot goes at the velocities of --commands."""
     episodes: int = 1
-    """Number of episodes."""
     duration: opt.Seconds = None
-    """Length of an episode. Default: 10 s, or the whole of a non-periodic motion."""
     seed: int = 0
-    """Seed of initial states and sensor noise."""
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
@@ -52,12 +46,11 @@ class Evaluate:
     terrain: opt.TerrainName = None
     ideal: opt.Ideal = False
     truth: Annotated[Path | None, opt.option("FILE")] = None
-    """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     json: opt.JsonFlag = False
     steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         self.steered.check(self.motion == opt.STEER, others_steer=False)
         if is_deployment_log(self.motion):
@@ -78,18 +71,16 @@ class Evaluate:
             evaluation = opt.apply(evaluate, self, **given, duration_s=self.duration)
         figures = evaluation.as_dict() | self._world(conditions)
         if self.json:
-            put_json(figures)
-            return 0
+            return put_json(figures)
         note(provenance(motion))
         put_figures(figures, robot.name)
         put_world(conditions)
-        return 0
 
     def _world(self, conditions: Conditions) -> dict[str, Any]:
         disturbances = {d.name: d.values[0] for d in conditions.disturbances}
         return {"simulator": conditions.simulator, "disturbances": disturbances, "terrain": self.terrain}
 
-    def _steered(self, conditions: Conditions) -> int:
+    def _steered(self, conditions: Conditions) -> None:
         """Steers a robot by a script, as fast as it can be simulated."""
         from fastmimic.play.follow import SteeringFigures, follow
         from fastmimic.play.session import LiveSession
@@ -104,17 +95,14 @@ class Evaluate:
         script, config = CommandScript(self.steered.commands), controller_config(self.config or "default")
         seconds = self.duration or script.end_s or 0.0
         if round(seconds * config.rate_hz) < 1:
-            raise ConfigError(
-                f"{self.steered.commands}: there is no control step in {seconds:g} s; give it a later last time, or"
-                " a longer --duration"
-            )
+            said = f"{self.steered.commands}: there is no control step in {seconds:g} s"
+            raise ConfigError(f"{said}; give it a later last time, or a longer --duration")
         gaits = self.steered.gaits(self.robot)
         with slow_start():
             session = LiveSession(gaits.robot, {}, config=config, conditions=conditions, gaits=gaits)
             found = follow(session, script.velocity, seconds, SteeringFigures()).as_dict()
         if self.json:
-            put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))
-            return 0
+            return put_json(found | {"motion": opt.STEER, "robot": gaits.robot.name} | self._world(conditions))
         put(f"{gaits.robot.name}, steered for {seconds:g} s by {self.steered.commands}")
         gait = ", ".join(f"{name} {share:.0%}" for name, share in found["share_of_time"].items())
         errors = f"{number(found['velocity_error_m_s'])} m/s, {number(found['yaw_rate_error_rad_s'])} rad/s"
@@ -129,9 +117,8 @@ class Evaluate:
             ]
         )
         put_world(conditions)
-        return 0
 
-    def _deployed(self) -> int:
+    def _deployed(self) -> None:
         """Scores a deployment from its log."""
         from fastmimic.deploy.deployment import evaluation_of
 
@@ -140,12 +127,10 @@ class Evaluate:
             figures = evaluation_of(robot, log, ControllerConfig.from_dict(log.meta["config"])).as_dict()
         figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
         if self.json:
-            put_json(figures)
-            return 0
+            return put_json(figures)
         reference = "the simulator's ground truth" if log.truth is not None else "the robot's own estimate"
         put_figures(figures, robot.name)
         put(f"deployed by driver '{log.meta['driver']}'; scored by {reference}")
-        return 0
 
 
 def put_world(conditions: Conditions) -> None:
@@ -182,7 +167,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
     put_table(rows)
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Identify:
     """Estimates the ground's friction and the trunk's payload from a deployment; the result holds for all motions.
 
@@ -191,17 +176,12 @@ class Identify:
     """
 
     log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]
-    """Folder or log of a deployment."""
-    robot: Annotated[
-        str | None, opt.option("NAME|FILE", f"{ROBOT_CHOICES}, without payload. Default: the log's robot.")
-    ] = None
+    robot: Annotated[str | None, opt.shared("NAME|FILE", "log's robot")] = None
     unloaded: Annotated[Path | None, opt.option("DEPLOYMENT")] = None
-    """A deployment of the same robot without payload; it cancels the gain errors of the sensors."""
     config: opt.ConfigName = "default"
     out: Annotated[Path | None, opt.option("FILE.json")] = None
-    """File of the configuration. Default: it is not written."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.identification.identify import identify
 
         if self.out is not None:
@@ -217,7 +197,6 @@ class Identify:
         if self.out is not None:
             found.save(self.out, self.config)
             put(f"controller parameters in {self.out}; use them by --config {self.out}")
-        return 0
 
 
 def _identified(found: "Identification", assumed: float, before: float) -> list[tuple[str, str]]:
@@ -225,9 +204,8 @@ def _identified(found: "Identification", assumed: float, before: float) -> list[
     if friction.value is None or friction.upper is None:
         said = f"at least {friction.lower:.2f}: no foot slid"
     else:
-        said = (
-            f"{friction.value:.2f} (95 %: {friction.lower:.2f} to {friction.upper:.2f}), from {friction.slides} slides"
-        )
+        interval = f"{friction.lower:.2f} to {friction.upper:.2f}"
+        said = f"{friction.value:.2f} (95 %: {interval}), from {friction.slides} slides"
     changed = f"{before:g} as before" if assumed == before else f"{assumed:.2f} instead of {before:g}"
     rows = [("friction", said), ("  the controller assumes", changed)]
     if payload is None:

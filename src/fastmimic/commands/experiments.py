@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -27,9 +27,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder, of_finished
-from fastmimic.simulation.disturbance_kinds import DISTURBANCES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
-from fastmimic.simulation.terrain import TERRAINS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -38,7 +36,7 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.experiments.experiment import Subject
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Compare:
     """Runs several methods on several motions with several seeds, and writes tables and figures.
 
@@ -48,31 +46,22 @@ class Compare:
     """
 
     motions: Annotated[tuple[str, ...] | None, opt.option("MOTION ...")] = None
-    """Names from 'fastmimic motions', or files. Default: the paper's four recordings."""
     builtin: opt.Flag = False
-    """Use the built-in trot, pace, turn and side-step, which need no data."""
     methods: Annotated[tuple[str, ...] | None, opt.option("METHOD ...")] = None
-    """Methods to run. Default: all but those that optimise more than the paper does; rl if policies are given."""
     policy: Annotated[tuple[Path, ...], opt.option("FILE|FOLDER ...")] = ()
-    """Trained policies for the method rl (policy.npz of 'fastmimic train') or folders with policies; one or more for
-    each motion."""
     seeds: int = 8
-    """Number of CMA-ES seeds, from 0. Methods without a search are deterministic and run once."""
     ablations: opt.Flag = False
-    """Also run variants of mbc-dmp, each with one part removed or changed."""
     duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the search's episodes."""
     robot: opt.RobotName = opt.DEFAULT_ROBOT
     config: opt.ConfigName = "default"
     workers: opt.Workers = None
     out: Annotated[Path, opt.option("FOLDER")] = opt.RUNS / "comparison"
-    """Folder of the results. One with a comparison needs --resume or --overwrite."""
     search: opt.Searching
     folder: opt.Folder
     choice: opt.Choice = FinalChoice()
     evaluation_s: Annotated[float, Suppress] = 10.0
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         plan = self._plan()
         from fastmimic.experiments.compare import prepare
@@ -99,7 +88,6 @@ class Compare:
                 raise
             of_finished(self.out)(write_comparison)(folder, plan, prepared.finished())
         put(*folder.read(TABLE, ABLATION_TABLE).splitlines(), f"results in {self.out}")
-        return 0
 
     def _plan(self) -> "ComparisonPlan":
         from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS, ComparisonPlan, choose_policies
@@ -183,21 +171,17 @@ def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
         yield report
 
 
-ResultsFolder = Annotated[
-    Path, opt.option("FOLDER", "Folder of the results. One with results needs --resume or --overwrite.")
-]
+ResultsFolder = Annotated[Path, opt.shared("FOLDER", "results")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class ExperimentOptions:
     """What experiments over methods share."""
 
     robot: opt.RobotChoice = None
     seed: int = 0
-    """Seed of initial states, sensor noise, uneven ground and CMA-ES."""
     config: opt.ConfigName = "default"
     policy: Annotated[Path | None, opt.option("FILE")] = None
-    """Trained policy of the motion, for the method rl."""
     out: ResultsFolder
     clip: opt.ClipReading
     search: opt.Searching
@@ -250,7 +234,7 @@ class ExperimentOptions:
         put(folder.read(TABLE), f"results in {self.out}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Stress(ExperimentOptions):
     """Runs a motion over a range of each disturbance and measures how much it tolerates.
 
@@ -260,25 +244,16 @@ class Stress(ExperimentOptions):
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
     methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
-    """Methods to run."""
-    disturbances: Annotated[
-        tuple[str, ...] | None,
-        opt.option(
-            "NAME ...", lambda: f"Names, also of terrains: {', '.join([*DISTURBANCES, *TERRAINS])}. Default: all."
-        ),
-    ] = None
+    disturbances: Annotated[tuple[str, ...] | None, opt.shared("NAME ...", "swept")] = None
     episodes: int = 20
-    """Episodes at each level: the first starts at the motion's start, the others at random phases."""
     duration: Annotated[float, opt.option("S")] = 6.0
-    """Length of an episode."""
     simulator: opt.Simulator = "mujoco"
     observe: opt.Observation = "truth"
     ideal: opt.Ideal = False
     out: ResultsFolder = opt.RUNS / "stress"
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         from fastmimic.experiments.experiment import check_methods, finish_part, part_file
         from fastmimic.experiments.stress import SWEEPS, StressSettings, check_length, disturbances_of, sweep
@@ -301,10 +276,9 @@ class Stress(ExperimentOptions):
                         path = part_file(self.out / SWEEPS, method, name)
                         finish_part(path, subject.digest, partial(sweep, subject, name, robot, settings))
                         tell(k / len(planned), f"{method}, {name}", f"{k}/{len(planned)} {method}, {name}")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Transfer(ExperimentOptions):
     """Optimises motions in MuJoCo with the true state, then runs them without change under conditions that differ more
     and more.
@@ -315,19 +289,13 @@ class Transfer(ExperimentOptions):
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION ...")]
-    """Robot motions (.npz; optimised ones are not re-optimised), clips, names from 'fastmimic motions', or folders of
-    runs."""
     methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")
-    """Methods to run."""
     trials: int = 3
-    """Trials of each motion and method under each condition."""
     duration: Annotated[float, opt.option("S")] = 10.0
-    """Length of a trial."""
     identify: opt.Flag = False
-    """Run (c) again with friction and payload identified from one run there, as on a real robot."""
     out: ResultsFolder = opt.RUNS / "transfer"
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         from fastmimic.experiments.experiment import check_methods, finish_part, part_file
         from fastmimic.experiments.transfer import PARTS, TransferSettings, run_trials
@@ -358,4 +326,3 @@ class Transfer(ExperimentOptions):
                     with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
                         finish_part(path, subject.digest, partial(run_trials, subject, robot, settings))
                     note(f"{motion.name}, {method}: done")
-        return 0

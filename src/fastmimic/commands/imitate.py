@@ -4,7 +4,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -33,7 +32,7 @@ _NOT_THE_PROBLEM: Final = ("workers", "out", "resume", "overwrite", "no_video", 
 """Arguments that change where and how a run happens, but not its result."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class SearchRun:
     """The options of a search and of the folder that it writes."""
 
@@ -41,10 +40,8 @@ class SearchRun:
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"
     seed: int = 0
-    """Seed of the search. The same seed gives the same result at any number of workers."""
     workers: opt.Workers = None
     out: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the results. Default: runs/MOTION-ROBOT-METHOD-SEED, numbered if it exists."""
     folder: opt.Folder
     video: opt.Video
     choice: opt.Choice = FinalChoice()
@@ -81,7 +78,7 @@ class SearchRun:
                 raise
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Imitate(SearchRun):
     """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them in closed-loop
     simulation.
@@ -91,13 +88,9 @@ class Imitate(SearchRun):
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A name from 'fastmimic motions', a file, or the folder of a run."""
     duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the episodes before and after, and at the most of the search's, which have three cycles."""
     warm_start: Annotated[Path | None, opt.option("FILE.npz")] = None
-    """Start the search from the parameters of an optimised motion."""
     no_optimize: opt.Flag = False
-    """Run the method without its search: mbc for mbc-dmp, lh for lh-dmp."""
     search: opt.Searching
     clip: opt.ClipReading
 
@@ -146,7 +139,7 @@ class Imitate(SearchRun):
             return opt.apply(imitate, self, self.search, self.folder, **given, **own)
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Stitch(SearchRun):
     """Joins motions into one, each repeated for several cycles, and optimises the DMPs of all of them together. The
     search starts from the optimum of each motion; motions that are not optimised yet are optimised first.
@@ -156,25 +149,17 @@ class Stitch(SearchRun):
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION MOTION ...")]
-    """Two or more names from 'fastmimic motions', files, or folders of runs. A name takes precedence over a folder of
-    the same name (use ./NAME)."""
     cycles: Annotated[tuple[int, ...], opt.option("N [N ...]")] = ()
-    """Cycles of each motion: one number for all, or one for each. Default: about 3 s each."""
     iterations: opt.Generations = None
-    """Generations of CMA-ES in the joint search. Default: until the best reward stays the same, at most 200."""
     population: Annotated[int | None, opt.option("N")] = None
-    """Candidates in a generation. Default: the usual number of CMA-ES for the number of parameters."""
     part_iterations: opt.Generations = None
-    """Generations for each motion alone. Default: as many as in the joint search, or as it had before."""
 
     def run(self) -> int:
         if len(self.motions) < 2:
             raise ConfigError(f"stitch takes at least two motions, found {len(self.motions)}")
         if len(self.cycles) not in (0, 1, len(self.motions)):
-            raise ConfigError(
-                f"--cycles takes one number, or one for each of the {len(self.motions)} motions; found"
-                f" {len(self.cycles)}"
-            )
+            takes = f"--cycles takes one number, or one for each of the {len(self.motions)} motions"
+            raise ConfigError(f"{takes}; found {len(self.cycles)}")
         video = self.video.wanted
         self.check_search(self.method)
         sources = [find_motion(motion) for motion in self.motions]

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -18,7 +18,6 @@ from fastmimic.commands.console import EXIT_SOME_FAILED, put, put_json, put_tabl
 from fastmimic.commands.motion_files import ExportFormat
 from fastmimic.executors import make_executor
 from fastmimic.optimize.parameters import FinalChoice
-from fastmimic.robot import ROBOT_CHOICES
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
@@ -32,7 +31,7 @@ _LISTED: Final = (*("id", "name", "robot", "seed", "gait", "footfall", "grade"),
 """Columns that a list shows or is filtered by."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Build:
     """Builds a library of motions from folders, lists, files and names: finds the cycles in long takes, retargets and
     optimises them, tests each motion from perturbed starts, on other robots and in a second simulator, grades it, and
@@ -43,48 +42,28 @@ class Build:
     """
 
     sources: Annotated[Positional[tuple[str, ...]], opt.option("FOLDER|LIST|MOTION ...")]
-    """Folders of clips, lists (.csv with a column 'source', or .list with one source a line), files, or names from
-    'fastmimic motions'."""
     out: Annotated[Path, opt.option("LIBRARY")]
-    """Folder of the library."""
-    robots: Annotated[tuple[str, ...], opt.option("NAME|FILE ...", f"{ROBOT_CHOICES}.")] = (opt.DEFAULT_ROBOT,)
+    robots: Annotated[tuple[str, ...], opt.shared("NAME|FILE ...", "robot")] = (opt.DEFAULT_ROBOT,)
     seeds: int = 1
-    """Searches for each motion and robot."""
     method: opt.MethodName = "mbc-dmp"
     config: opt.ConfigName = "default"
     duration: Annotated[float, opt.option("S")] = 5.0
-    """Length of the search's episodes."""
     trial: Annotated[float, opt.option("S")] = 10.0
-    """Length of the test episodes."""
     perturbed: int = 8
-    """Number of test episodes with perturbed starts."""
     others: int = 16
-    """Number of other robots to test on: random ground, payload and motors from the usual ranges."""
     no_second_simulator: opt.Flag = False
-    """Do not test in the second simulator, even if it is installed."""
     confidence: Annotated[float, opt.option("SHARE")] = 0.5
-    """Least confidence at which a cycle found in a take is imitated."""
     discrete: opt.Flag = False
-    """Also imitate non-periodic movements in takes, such as turns, starts and stops; each runs once."""
     whole: opt.Flag = False
-    """Imitate takes as they are, from start to end, instead of the cycles in them."""
     frames: Annotated[str | None, opt.option("A:B")] = None
-    """Imitate these frames of each source as they are."""
     warm_start: Annotated[Path | None, opt.option("LIBRARY")] = None
-    """Start each search from the most similar motion of a finished library."""
     exclude: Annotated[tuple[str, ...], opt.option("PATTERN ...")] = ()
-    """Files of the folders to skip, such as '*_raw.txt'."""
     licence: Annotated[str | None, opt.option("TEXT")] = None
-    """Licence of sources that state none."""
     credit: Annotated[str | None, opt.option("TEXT")] = None
-    """Credit of sources that state none."""
     executor: Annotated[str, opt.option("local|ray")] = "local"
-    """Where the jobs run: in processes here, or on a Ray cluster that has sources and library under the same paths."""
     address: Annotated[str | None, opt.option("HOST:PORT")] = None
-    """Address of a running Ray cluster. Default: one is started here."""
     workers: opt.Workers = None
     update: opt.Flag = False
-    """Rebuild a library that was built with other settings."""
     search: opt.Searching
     choice: opt.Choice = FinalChoice()
 
@@ -110,9 +89,8 @@ class Build:
         from fastmimic.dataset import BuildRequest, BuildSettings, MotionDataset, find_sources
 
         if self.discrete and self.whole:
-            raise ConfigError(
-                "a take is run whole (--whole) or cut into its movements (--discrete): drop one of the two"
-            )
+            either = "a take is run whole (--whole) or cut into its movements (--discrete)"
+            raise ConfigError(f"{either}: drop one of the two")
         if not self.sources:
             raise ConfigError("no sources given; name folders, lists, clips or motions")
         sources = []
@@ -132,18 +110,14 @@ class Build:
         return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, cut, warm, folders)
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class _Choice:
     """The choice of motions in a library."""
 
     robot: Annotated[str | None, opt.option("NAME")] = None
-    """Only of this robot."""
     gait: Annotated[str | None, opt.option("NAME")] = None
-    """Only of this gait."""
     grade: Annotated[tuple[str, ...], opt.option("A|B|C|rejected|failed ...")] = ()
-    """Only of these grades."""
     all_seeds: opt.Flag = False
-    """All seeds instead of the best one of each motion and robot."""
 
     def chosen(self, rows: "Sequence[Row]") -> "list[Row]":
         from fastmimic.dataset.index import FAILURE, GRADES, REJECTED
@@ -166,17 +140,15 @@ class _Choice:
         ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class ListMotions(_Choice):
     """Lists the motions of a library with their grades."""
 
     library: LibraryFolder
     superseded: opt.Flag = False
-    """List the outdated records instead, with the reason: another recipe, a changed source or robot, or a newer record
-    of the same motion."""
     json: opt.JsonFlag = False
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.dataset import MotionDataset
 
         library = MotionDataset.open(self.library)
@@ -184,8 +156,7 @@ class ListMotions(_Choice):
             return self._superseded(library)
         chosen = self.chosen(library.index(() if self.json else _LISTED))
         if self.json:
-            put_json({"motions": chosen})
-            return 0
+            return put_json({"motions": chosen})
         head = ("id", "name", "robot", "seed", "gait", "grade", "animal", "reward", "others", "success", "mpjpe, mm")
         put_table([(*head, "lacks"), *(_line(row) for row in chosen)], right=range(6, 11))
         put_summary(library)
@@ -193,36 +164,31 @@ class ListMotions(_Choice):
         put(*plan.problems)
         for line in plan.unreadable:
             note(f"damaged: {line}")
-        return 0
 
-    def _superseded(self, library: "MotionDataset") -> int:
+    def _superseded(self, library: "MotionDataset") -> None:
         found = library.gathered().superseded
         if self.json:
-            put_json({"superseded": [asdict(old) for old in found]})
-            return 0
+            return put_json({"superseded": [asdict(old) for old in found]})
         lines = [(old.id[:8], old.name, old.robot, str(old.seed), old.why) for old in found]
         put_table([("id", "name", "robot", "seed", "why"), *lines])
         put(f"{len(found)} outdated records; 'fastmimic library verify {library.path} --mend' removes them")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Show:
     """Prints the full record of a motion."""
 
     library: LibraryFolder
     motion: Annotated[Positional[str], opt.option("ID|NAME")]
-    """Id or name as in 'library list'; the beginning of an id is enough."""
     json: opt.JsonFlag = False
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.dataset import MotionDataset
 
         library = MotionDataset.open(self.library)
         rows = library.find(self.motion)
         if self.json:
-            put_json({"motions": rows})
-            return 0
+            return put_json({"motions": rows})
         for i, row in enumerate(rows):
             if i:
                 put("")
@@ -230,21 +196,18 @@ class Show:
             put_table([(name, f"{v:.6g}" if isinstance(v, float) else str(v)) for name, v in known.items()])
             if row["motion_file"] is not None:
                 note(f"to see it: fastmimic view {library.path / row['motion_file']}")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class LibraryExport(_Choice):
     """Writes the motions of a library for other trainers, as 'fastmimic export' does, with a table of them."""
 
     library: LibraryFolder
     to: Annotated[Path, opt.option("FOLDER")]
-    """Folder to write."""
     format: ExportFormat = "mjlab"
     fps: Annotated[float, opt.option("HZ")] = 50.0
-    """Frames per second."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         from fastmimic.dataset import MotionDataset
         from fastmimic.dataset.folder import NEEDED, export_library
 
@@ -259,10 +222,9 @@ class LibraryExport(_Choice):
         put(f"{len(chosen)} motions in {self.to}, listed in {index.name}")
         for licence in sorted({row["licence"] or "not stated" for row in chosen}):
             put(f"licence of the recordings: {licence}")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Verify:
     """Reads everything in a library and lists what is damaged; with --rerun also runs some motions again.
 
@@ -271,10 +233,7 @@ class Verify:
 
     library: LibraryFolder
     rerun: Annotated[int, opt.option("N")] = 0
-    """Run the nominal episodes of N random motions again and compare them with the records."""
     mend: opt.Flag = False
-    """Rewrite the index and remove orphaned files and damaged records, which the next build makes again. Refused while
-    a build is running."""
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset
@@ -301,7 +260,7 @@ class Verify:
         return 0 if health.sound and not differing else EXIT_SOME_FAILED
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Libraries:
     """Builds, lists and checks libraries: datasets of motions that a robot can execute."""
 
@@ -315,7 +274,7 @@ class Libraries:
         ]
     ]
 
-    def run(self) -> int:
+    def run(self) -> int | None:
         return self.action.run()
 
 

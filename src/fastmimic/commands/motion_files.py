@@ -1,6 +1,6 @@
 """Verbs without simulation: `motions`, `robots`, `data` (what there is), `inspect`, `segment`, `retarget`, `export`."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -30,18 +30,16 @@ LEROBOT: Final = "lerobot"  # the format of executed runs
 ExportFormat = Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join(EXPORTS)}.")]
 _SEGMENT: Final = ("frames", "gait", "footfall", "period", "best cycle", "confidence", "speed, m/s", "yaw, rad/s")
 ACTIONS: Final = ("list", "fetch")
-RecordingsFolder = Annotated[
-    Path | None, opt.option("FOLDER", "Folder of the recordings. Default: $FASTMIMIC_DATA, else the user's cache.")
-]
+RecordingsFolder = Annotated[Path | None, opt.shared("FOLDER", "recordings")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Motions:
     """Lists the named motions: built-in gaits and recordings of a dog."""
 
     folder: RecordingsFolder = None
 
-    def run(self) -> int:
+    def run(self) -> None:
         rows = describe(self.folder)
         cells = [(r.name, r.speed, "yes" if r.available else "no", r.about, r.source) for r in rows]
         put_table([("name", "speed", "here", "description", "source"), *cells])
@@ -49,50 +47,43 @@ class Motions:
             note(f"licence of the recordings: {licence}")
         if not all(r.available for r in rows):
             note("'fastmimic data fetch' downloads what is missing here")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Robots:
     """Lists the built-in robots, or says what an MJCF or URDF is taken for, which --robot takes as well."""
 
     robot: Annotated[Positional[str | None], opt.option("[NAME|FILE]")] = None
-    """A robot's name, its MJCF or URDF, or a vendor's folder with one URDF. Default: a list."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         if self.robot is not None:
             put(*describe_robot(load_robot(self.robot)))
-            return 0
+            return
         rows = [("name", "mass kg", "leg m", "torque N·m", "joint speed rad/s")]
         for name in ROBOT_NAMES:
             robot = load_robot(name)
-            torque, speed = (
-                " ".join(f"{v:g}" for v in limit[:3]) for limit in (robot.torque_limit, robot.joint_speed_limit)
-            )
+            limits = robot.torque_limit, robot.joint_speed_limit
+            torque, speed = (" ".join(f"{v:g}" for v in limit[:3]) for limit in limits)
             rows.append((name, f"{robot.mass:.2f}", f"{robot.leg_length:.3f}", torque, speed))
         put_table(rows)
         note("your own: --robot FILE, an MJCF or URDF with abduction, hip and knee joints in each of four legs")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Data:
     """Lists or downloads the public recordings of a dog; verifies each file by its hash."""
 
     action: Annotated[Positional[str], opt.option("list|fetch")]
-    """List the datasets, or download them."""
     datasets: Annotated[Positional[tuple[str, ...]], opt.option("[DATASET ...]")] = ()
-    """Datasets to download. Default: all."""
     folder: RecordingsFolder = None
     base_url: Annotated[str | None, opt.option("URL")] = None
-    """Server of the recordings. Default: $FASTMIMIC_DATA_URL, else the public original."""
 
-    def run(self) -> int:
+    def run(self) -> None:
         if self.action not in ACTIONS:
             raise ConfigError(f"data takes list or fetch, found '{self.action}'{did_you_mean(self.action, ACTIONS)}")
-        return self._list() if self.action == "list" else self._fetch()
+        (self._list if self.action == "list" else self._fetch)()
 
-    def _list(self) -> int:
+    def _list(self) -> None:
         if self.datasets or self.base_url:
             raise ConfigError("data list takes no dataset and no --base-url: it lists everything")
         found = list_datasets(self.folder)
@@ -100,9 +91,8 @@ class Data:
         put_table([("dataset", "files here", "description"), *rows])
         put(f"folder: {data_folder(self.folder)}")
         self._put_licence([d.name for d, _ in found])
-        return 0
 
-    def _fetch(self) -> int:
+    def _fetch(self) -> None:
         started = set()
 
         def progress(name: str, done: int, total: int) -> None:
@@ -114,7 +104,6 @@ class Data:
         paths = fetch(names, folder=self.folder, base_url=self.base_url, progress=progress)
         put(f"{len(paths)} files, verified, in {data_folder(self.folder)}")
         self._put_licence(names)
-        return 0
 
     def _put_licence(self, names: list[str] | None) -> None:
         chosen = [DATASETS[name] for name in (DATASETS if names is None else names)]
@@ -122,7 +111,7 @@ class Data:
             put(f"licence: {licence}", f"credit: {credit}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Inspect:
     """Shows information about a file or a named motion: format, assumptions, frames, rate, period, speed, duty factor,
     swing clearance, joint limits, source and licence, and the parameters of an optimised motion. A clip is retargeted
@@ -130,13 +119,11 @@ class Inspect:
     """
 
     source: Annotated[Positional[str], opt.option("FILE|NAME")]
-    """A clip, a robot motion (.npz), a name from 'fastmimic motions', or the folder of a run."""
     figure: Annotated[Path | None, opt.option("FILE.png")] = None
-    """Also draw gait, trunk and joints."""
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
         robot, motion, lines = self._read()
         put(*lines, *describe_motion(motion, robot))
@@ -146,7 +133,6 @@ class Inspect:
 
             save(motion_figure(motion, robot), figure)
             put(f"figure in {figure}")
-        return 0
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
         """The robot, its motion, and lines about the source file."""
@@ -255,7 +241,7 @@ def _modulated(dmp: DmpRecord) -> list[str]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class SegmentTake:
     """Finds the cycles in a take of any length. Prints first frame and end, gait, period, speed and yaw rate of each
     segment, and its cycle that closes best, for 'imitate --frames A:B'. Standing and non-periodic movement are listed
@@ -263,13 +249,11 @@ class SegmentTake:
     """
 
     take: Annotated[Positional[str], opt.option("FILE|NAME")]
-    """A clip, or a name from 'fastmimic motions'."""
     json: opt.JsonFlag = False
     figure: Annotated[Path | None, opt.option("FILE.png")] = None
-    """Also draw the segments over time, with feet, speed and heading."""
     file: opt.FileReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
         parts = open_parts(self.take, **self.file.overrides())
         rate_hz, segments = parts[0][1].rate_hz, [s.later(first) for first, clip in parts for s in find_segments(clip)]
@@ -294,7 +278,6 @@ class SegmentTake:
             save(segments_figure(clip, own, Path(self.take).stem), figure)
             if not self.json:
                 put(f"figure in {figure}")
-        return 0
 
 
 def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
@@ -310,18 +293,16 @@ def _segment_row(segment: Segment, rate_hz: float) -> tuple[str, ...]:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Retarget:
     """Turns an animal's clip into a motion that the robot can execute, and prints what changed."""
 
     clip: Annotated[Positional[str], opt.option("CLIP")]
-    """A clip file, or a name from 'fastmimic motions'."""
     out: Annotated[Path, opt.option("FILE.npz")]
-    """File of the motion."""
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         out = opt.check_writable(self.out, ".npz")
         overrides = self.reading.overrides()
         source = find_motion(self.clip)
@@ -331,10 +312,9 @@ class Retarget:
         note_origin(robot, motion)
         put(*report.lines())
         put(f"{motion.n_samples} samples at {motion.rate_hz:g} Hz for {robot.name} in {out}")
-        return 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Export:
     """Writes a robot motion in a format that other trainers read.
 
@@ -345,20 +325,15 @@ class Export:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', or the folder of a run."""
     format: Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join((*EXPORTS, LEROBOT))}.")]
     out: Annotated[Path, opt.option("FILE")]
-    """File to write: .txt or .json for deepmimic and amp, .csv for csv, .npz for others; for lerobot a new folder."""
     rate: Annotated[float, opt.option("HZ")] = 50.0
-    """Frames per second; for a cycle, the nearest rate that divides it evenly, but for lerobot."""
     duration: opt.Seconds = None
-    """Length. Default: one cycle for deepmimic, which loops; else 10 s, or the whole of a non-periodic motion."""
     episodes: int | None = None
-    """For lerobot: number of runs, of which the first is unperturbed, as in 'fastmimic evaluate'. Default: 10."""
     robot: opt.RobotChoice = None
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         if self.format not in (*EXPORTS, LEROBOT):
             raise unknown("format", self.format, (*EXPORTS, LEROBOT))
         if self.format != LEROBOT:
@@ -376,7 +351,6 @@ class Export:
         if motion.provenance.licence:
             note(f"licence of the motion: {motion.provenance.licence}")
         put(said)
-        return 0
 
     def _run_and_write(self, robot: Robot, motion: Motion) -> str:
         """Runs the motion and writes what the robot did; returns it in words."""

@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, dataclass_transform
 
 from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError
-from fastmimic.base.files import check_folder
+from fastmimic.base.files import check_folder, packaged
 from fastmimic.base.progress import count_progress, note
 from fastmimic.base.text import plain
 from fastmimic.clips.catalogue import parse_frames
@@ -35,11 +35,22 @@ if TYPE_CHECKING:  # loads the compiler
     from fastmimic.steering.gait_field import GaitField
 
 DEFAULT_ROBOT: Final = "a1"
-STEER: Final = "steer"
-"""In place of a motion: the robot is steered."""
+STEER: Final = "steer"  # in place of a motion: the robot is steered
 MAX_DURATION_S: Final = 3600.0
 RUNS: Final = Path("runs")
 Result = TypeVar("Result")
+Kind = TypeVar("Kind")
+
+_TEXTS: Final = packaged("fastmimic.commands", "help.json", dict[str, dict[str, str]])
+_NAMES: Final[dict[str, Callable[[], str]]] = {
+    "robots": lambda: ROBOT_CHOICES,
+    "configs": lambda: ", ".join(CONFIGS),
+    "methods": lambda: "; ".join(f"{name}: {m.summary}" for name, m in METHODS.items() if not m.learned),
+    "controllers": lambda: ", ".join(name for name, method in METHODS.items() if method.playable),
+    "simulators": lambda: ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items()),
+    "disturbances": lambda: ", ".join(DISTURBANCES),
+    "terrains": lambda: ", ".join(TERRAINS),
+}  # what stands for {these} in help texts: extensions may add to it
 
 
 def option(metavar: str | None = None, text: str | Callable[[], str] | None = None) -> Any:
@@ -49,30 +60,24 @@ def option(metavar: str | None = None, text: str | Callable[[], str] | None = No
     return arg(metavar=metavar, help=help_text, help_behavior_hint=_shown_default)
 
 
+def shared(metavar: str | None, name: str) -> Any:
+    """An option with one of the texts that stand in `help.json` for several verbs."""
+    text = _TEXTS["shared"][name]
+    return option(metavar, lambda: text.format(**{name: names() for name, names in _NAMES.items()}))
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+def command(kind: type[Kind]) -> type[Kind]:
+    """A class decorator of verbs and groups of options: a frozen dataclass whose fields, by keyword, are options. Their
+    help texts are those of `help.json` by the names of class and field; they end up in the docstring."""
+    texts = _TEXTS.get(kind.__name__, {})
+    lines = "".join(f"\n        {name}: {text}" for name, text in texts.items())
+    kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:{lines}\n    " if texts else kind.__doc__
+    return dataclass(frozen=True, kw_only=True)(kind)
+
+
 def _shown_default(default: str) -> str:
     return "" if default in ("None", "False", "") else f"(default: {default})"
-
-
-def configs(more: str = "") -> str:
-    return f"Controller parameters: {', '.join(CONFIGS)}, or a JSON file.{more}"
-
-
-def methods() -> str:
-    return "; ".join(f"{name}: {method.summary}" for name, method in METHODS.items() if not method.learned)
-
-
-def controllers() -> str:
-    """The methods without a search, for a help text."""
-    return ", ".join(name for name, method in METHODS.items() if method.playable)
-
-
-def found_controller(more: str = "") -> str:
-    """A help text."""
-    return f"Controller: {controllers()}{more}. Default: the one the motion was optimised with, else mbc."
-
-
-def simulators() -> str:
-    return ", or ".join(f"{name} ({entry.about})" for name, entry in SIMULATORS.items())
 
 
 def joined(given: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
@@ -85,64 +90,33 @@ Generations = Annotated[int | None, option("N")]
 Several = UseAppendAction[tuple[tuple[str, ...], ...]]
 """Values of an option that may be given several times, with one or more values each."""
 Seconds = Annotated[float | None, option("S")]
-RobotChoice = Annotated[str | None, option("NAME|FILE", f"{ROBOT_CHOICES}. Default: the motion's robot, else a1.")]
-RobotName = Annotated[str, option("NAME|FILE", f"{ROBOT_CHOICES}.")]
-MethodName = Annotated[str, option("NAME", lambda: f"Method: {methods()}.")]
-ConfigName = Annotated[str, option("NAME|FILE", configs)]
-FoundMethod = Annotated[str | None, option("NAME", found_controller)]
-FoundConfig = Annotated[
-    str | None,
-    option("NAME|FILE", lambda: configs(" Default: those the motion was optimised with, else default.")),
-]
-PolicyFile = Annotated[
-    Path | None, option("FILE", "Trained policy (policy.npz of 'fastmimic train') in place of the controller.")
-]
-Simulator = Annotated[str, option("NAME", lambda: f"Simulator: {simulators()}.")]
-Observation = Annotated[
-    str, option("truth|sensors", "Controller input: the true state, or an estimate from noisy, delayed sensors.")
-]
-FootForce = Annotated[
-    Literal["auto", "off", "on"],
-    option(
-        "auto|off|on", "Contact by joint torques, and by foot sensors found right; off: without; on: by them alone."
-    ),
-]
-Disturbances = Annotated[
-    Several,
-    option(
-        "NAME=VALUE ...",
-        lambda: f"Disturbances unknown to the controller, e.g. payload=2 (kg). Names: {', '.join(DISTURBANCES)}.",
-    ),
-]
-TerrainName = Annotated[
-    str | None,
-    option(
-        "NAME=LEVEL|FILE",
-        lambda: f"Ground, e.g. stairs-up=0.05 (m), or a file of heights, e.g. hills.npy. Names: {', '.join(TERRAINS)}.",
-    ),
-]
-Ideal = Annotated[bool, option(text="Motors with full torque at any speed; legs pass through each other.")]
-Quality = Annotated[str, option("preview|high", "Video quality: fast, or with shadows, reflections and anti-aliasing.")]
-Workers = Annotated[
-    int | None, option("N", "Parallel workers. Default: one per core. The results do not depend on it.")
-]
-Port = Annotated[int, option("PORT", "Port of the page. If it is taken, the next free one is used.")]
-JsonFlag = Annotated[bool, option(text="Print one JSON object and nothing else.")]
+RobotChoice = Annotated[str | None, shared("NAME|FILE", "found robot")]
+RobotName = Annotated[str, shared("NAME|FILE", "robot")]
+MethodName = Annotated[str, shared("NAME", "method")]
+ConfigName = Annotated[str, shared("NAME|FILE", "config")]
+FoundMethod = Annotated[str | None, shared("NAME", "found method")]
+FoundConfig = Annotated[str | None, shared("NAME|FILE", "found config")]
+PolicyFile = Annotated[Path | None, shared("FILE", "policy")]
+Simulator = Annotated[str, shared("NAME", "simulator")]
+Observation = Annotated[str, shared("truth|sensors", "observe")]
+FootForce = Annotated[Literal["auto", "off", "on"], shared("auto|off|on", "foot force")]
+Disturbances = Annotated[Several, shared("NAME=VALUE ...", "disturb")]
+TerrainName = Annotated[str | None, shared("NAME=LEVEL|FILE", "terrain")]
+Ideal = Annotated[bool, shared(None, "ideal")]
+Quality = Annotated[str, shared("preview|high", "quality")]
+Workers = Annotated[int | None, shared("N", "workers")]
+Port = Annotated[int, shared("PORT", "port")]
+JsonFlag = Annotated[bool, shared(None, "json")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@command
 class ClipFileOptions:
     """How a clip file is read."""
 
     fps: Annotated[float | None, option("HZ")] = None
-    """Frame rate of the clip. Default: the rate in the file, or the usual one of its format."""
     up: Annotated[str | None, option("x|y|z|-x|-y|-z")] = None
-    """Vertical axis of the clip, e.g. --up z or --up=-y. Default: detected from the points."""
     point_map: Annotated[Path | None, option("FILE.json")] = None
-    """Names of the neck, pelvis, hips and toes among the file's points or joints. Default: guessed."""
     travel: Annotated[str | None, option("auto|recover|as-is")] = None
-    """The way of the trunk, from the standing feet: if it is missing, as on a treadmill (auto), always, or never.
-    Default: auto."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
@@ -154,26 +128,18 @@ class ClipFileOptions:
         return "".join(f" --{name.replace('_', '-')}={value}" for name, value in self.overrides().items())
 
 
-@dataclass(frozen=True, kw_only=True)
+@command
 class ClipOptions(ClipFileOptions):
     """How a clip is read and retargeted. None of these applies to a robot motion."""
 
     frames: Annotated[str | None, option("A:B")] = None
-    """Part of the clip: first frame and end, 0-based, end exclusive."""
     cycle: Flag = False
-    """Take the clip for one period and repeat it. Default: if its end leads back to its beginning."""
     discrete: Flag = False
-    """Take the clip for a passage that does not repeat, and run it once."""
     scale: Annotated[float | None, option("FACTOR")] = None
-    """Scale from the animal to the robot. Default: the ratio of the leg lengths."""
     speed: Annotated[float | None, option("M/S")] = None
-    """Built-in gaits: speed at the A1's size."""
     yaw_rate: Annotated[float | None, option("RAD/S")] = None
-    """Built-in gaits: yaw rate, positive to the left."""
     duty: Annotated[float | None, option("SHARE")] = None
-    """Built-in gaits: duty factor, the stance share of the period."""
     no_executable: Flag = False
-    """Stop at the kinematic motion: feet and trunk as the animal's, whether or not the robot can execute it."""
 
     def overrides(self) -> dict[str, Any]:
         """The options that were given, as the Python functions take them."""
@@ -203,32 +169,27 @@ class ClipOptions(ClipFileOptions):
         return None if found.clip is None else found.open_clip(robot, **overrides)
 
 
-@dataclass(frozen=True, kw_only=True)
+@command
 class SearchOptions:
     """The search of methods that optimise (CMA-ES)."""
 
     iterations: Generations = None
-    """Generations of CMA-ES. Default: until the best reward stays the same, at most 200."""
     population: int = 10
-    """Candidates in a generation."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@command
 class FolderOptions:
     """What happens if the folder already holds results."""
 
     resume: Flag = False
-    """Keep what is finished in the folder and continue."""
     overwrite: Flag = False
-    """Replace what is in the folder."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@command
 class VideoOptions:
     """The video of the result."""
 
     no_video: Flag = False
-    """Write no video."""
     quality: Quality = "preview"
 
     @property
@@ -241,8 +202,7 @@ class VideoOptions:
 FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
 ClipReading = Annotated[ClipOptions, OmitArgPrefixes]
 Searching = Annotated[SearchOptions, OmitArgPrefixes]
-Choice = Annotated[FinalChoice, Suppress]
-"""How a search chooses its result: a field without an option."""
+Choice = Annotated[FinalChoice, Suppress]  # how a search chooses its result: a field without an option
 Folder = Annotated[FolderOptions, OmitArgPrefixes]
 Video = Annotated[VideoOptions, OmitArgPrefixes]
 
@@ -273,19 +233,14 @@ def choose_robot(robot: str | None, *sources: MotionSource) -> Robot:
     return load_robot(robot_name(robot, *sources))
 
 
-@dataclass(frozen=True, kw_only=True)
+@command
 class SteeredBy:
     """With "steer" in place of a motion."""
 
     gait: Annotated[tuple[str, ...], option("CLIP ...")] = ()
-    """An animal's gaits, the slowest first: one period each, or a take, of which the period that repeats best is taken.
-    Default: a built-in walk, trot and canter."""
     udp: Annotated[int | None, option("PORT")] = None
-    """UDP port of this machine to which velocities come, as JSON like ROS's geometry_msgs/Twist."""
     topic: Annotated[str | None, option("NAME")] = None
-    """ROS 2 topic of geometry_msgs/Twist that velocities come from over DDS, e.g. cmd_vel."""
     commands: Annotated[Path | None, option("FILE.csv")] = None
-    """File of velocities. Each line: time, s, forwards, to the left, m/s, turning to the left, rad/s."""
 
     @contextmanager
     def opened(self, interface: str | None = None, domain: int | None = None) -> "Iterator[Commands | None]":

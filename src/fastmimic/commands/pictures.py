@@ -5,7 +5,6 @@ import math
 import sys
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -36,39 +35,28 @@ SECONDS: Final = 5.0
 MOST: Final = 4
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Render:
     """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost. Two motions are
     shown side by side, three or four in a 2 x 2 grid.
     """
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION [MOTION ...]")]
-    """One to four robot motions (.npz), folders of runs, clips, or names from 'fastmimic motions'."""
     out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]
-    """File of the video."""
     quality: opt.Quality = "preview"
     kinematic: opt.Flag = False
-    """Show the motions as written, without physics."""
     duration: opt.Seconds = None
-    """Length. Default: 5 s, or the whole of a non-periodic motion."""
     robot: opt.RobotChoice = None
-    method: Annotated[
-        tuple[str, ...],
-        opt.option("NAME [NAME ...]", lambda: opt.found_controller("; one for all motions, or one for each")),
-    ] = ()
+    method: Annotated[tuple[str, ...], opt.shared("NAME [NAME ...]", "found methods")] = ()
     config: opt.FoundConfig = None
     terrain: opt.TerrainName = None
     size: Annotated[str | None, opt.option("WxH")] = None
-    """Width and height in pixels. Default: 800x450; 1280x720 for high quality; 640x360 for a GIF."""
     frame_rate: Annotated[float | None, opt.option("HZ")] = None
-    """Frames per second of the video. Default: 30; 20 for a GIF."""
     slow_motion: Annotated[float, opt.option("FACTOR")] = 1.0
-    """Slow the video down by this factor."""
     no_marks: opt.Flag = False
-    """Omit the trails of the feet and the discs under loaded feet."""
     clip: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         self._check()
         takes = "--size takes WIDTHxHEIGHT in pixels, such as 1280x720"
         size = None if self.size is None else parse_pair(self.size, r"(\d{2,4})[x×](\d{2,4})", takes)
@@ -93,12 +81,9 @@ class Render:
                 marks=not self.no_marks,
             )
         if info is None:
-            raise OutputError(
-                f"{out} was not written: there is no OpenGL to draw with; 'fastmimic view' shows the same in a browser"
-                " without OpenGL"
-            )
+            said = f"{out} was not written: there is no OpenGL to draw with"
+            raise OutputError(f"{said}; 'fastmimic view' shows the same in a browser without OpenGL")
         put(f"{info.frames} frames, {info.seconds:.1f} s, {out.stat().st_size / 1e6:.1f} MB, in {out}")
-        return 0
 
     def _check(self) -> None:
         """Raises `ConfigError` for options that cannot be used, before any long work."""
@@ -110,9 +95,8 @@ class Render:
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ConfigError(f"{name} must be positive, found {value:g}")
         if len(self.method) not in (0, 1, len(self.motions)):
-            raise ConfigError(
-                f"--method takes one name, or one for each of the {len(self.motions)} motions; found {len(self.method)}"
-            )
+            takes = f"--method takes one name, or one for each of the {len(self.motions)} motions"
+            raise ConfigError(f"{takes}; found {len(self.method)}")
         for name in self.method:
             method_named(name)
         opt.check_kinematic(self, "method", "config", "terrain")
@@ -142,10 +126,8 @@ class Render:
         with slow_start():
             found = evaluate(motion, robot, conditions=opt.apply(Conditions, self), **options)
         caption = METHODS[found.method].label + (f" ({found.config.name})" if found.config.name != "default" else "")
-        track = rollout_track(
-            found.rollout, found.config.release_force(robot), f"{motion.name} on {robot.name}", note=caption
-        )
-        return track, found.rollout.course.rate_hz
+        loaded, title = found.config.release_force(robot), f"{motion.name} on {robot.name}"
+        return rollout_track(found.rollout, loaded, title, note=caption), found.rollout.course.rate_hz
 
 
 def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, float]":
@@ -156,7 +138,7 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
     return motion_track(motion, seconds, f"{motion.name} on {robot.name}", ghost, caption), motion.rate_hz
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class WriteReport:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
     'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip, a
@@ -168,13 +150,11 @@ class WriteReport:
     """
 
     runs: Annotated[Positional[tuple[str, ...]], opt.option("RUN|MOTION ...")]
-    """Folders of runs, clips, robot motions (.npz), or names from 'fastmimic motions'."""
     out: Annotated[Path | None, opt.option("FILE.html")] = None
-    """File of the report, for a single run. Default: report.html in its folder."""
     robot: opt.RobotChoice = None
     reading: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         if not self.runs:
             raise ConfigError("report takes the folder of at least one run")
         if self.out is not None and len(self.runs) > 1:
@@ -201,7 +181,6 @@ class WriteReport:
                 note(f"fastmimic: warning: {line}")
             report.save(out)
             put(f"report in {out}")
-        return 0
 
     def _ran(self, motion: str) -> Path:
         """The folder of a run of a motion as it is."""
@@ -219,7 +198,7 @@ class WriteReport:
         return command.make()[0]
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class View:
     """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
     and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side.
@@ -228,29 +207,20 @@ class View:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION|RUN")]
-    """A robot motion (.npz), a clip, a name from 'fastmimic motions', the folder of a run, or the folder or log of a
-    deployment, which is replayed."""
     truth: Annotated[Path | None, opt.option("FILE")] = None
-    """For the log of a deployment on 'fastmimic robot-sim --log FILE': that file, the ground truth."""
     port: opt.Port = 8080
     kinematic: opt.Flag = False
-    """Show the motion as written, without physics."""
     clip: Annotated[str | None, opt.option("CLIP")] = None
-    """Animal to show beside a robot motion: a clip or a name. A clip is always shown with its own animal."""
     episodes: Annotated[int | None, opt.option("N")] = None
-    """Episodes to choose from. The first starts at the motion's start, the others are perturbed as in 'evaluate'.
-    Default: 1."""
     duration: opt.Seconds = None
-    """Length of an episode. Default: the run's, else 10 s or the whole of a non-periodic motion."""
     seed: int = 0
-    """Seed of the perturbations."""
     robot: opt.RobotChoice = None
     method: opt.FoundMethod = None
     config: opt.FoundConfig = None
     terrain: opt.TerrainName = None
     reading: opt.ClipReading
 
-    def run(self) -> int:
+    def run(self) -> None:
         opt.check_duration(self.duration)
         opt.check_kinematic(self, "episodes", "method", "config", "terrain")
         from fastmimic.viewer.viewer import Viewer, free_port, require_viser
@@ -265,7 +235,7 @@ class View:
             command = self if source.folder is None else self._of_run(source)
             robot, shown, heading, animal = command._prepare(source)
         with Viewer(robot, shown, heading, self.port, animal) as viewer:
-            return serve(viewer, heading, self.port)
+            serve(viewer, heading, self.port)
 
     def _deployed(self) -> "tuple[Robot, list[list[Take]], str, None]":
         from fastmimic.viewer.replay import deployment_take
@@ -338,8 +308,8 @@ class View:
         return [rollout_take(rollout, motion, robot, config, title, episode) for episode in range(episodes)]
 
 
-def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
-    """Serves a page until Ctrl-C; prints its address, and its port if `port` was taken. Returns the exit status."""
+def serve(page: "Viewer | PlayPage", what: str, port: int) -> None:
+    """Serves a page until Ctrl-C; prints its address, and its port if `port` was taken."""
     taken = page.server.get_port()
     if taken != port:
         note(f"port {port} is taken; listening on {taken} instead")
@@ -349,4 +319,3 @@ def serve(page: "Viewer | PlayPage", what: str, port: int) -> int:
         page.run(threading.Event())
     except KeyboardInterrupt:
         note("closed")
-    return 0

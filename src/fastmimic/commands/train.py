@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 PAPER_STEPS: Final = 100_000_000
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class Train:
     """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the RL baseline.
 
@@ -38,34 +37,22 @@ class Train:
     """
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
-    """A name from 'fastmimic motions', a file, or the folder of a run."""
     steps: int = PAPER_STEPS
-    """Actions of all robots together. A larger number continues a finished training with --resume."""
     seed: int = 0
-    """Seed of weights, actions and episodes."""
     robots: int = 64
-    """Robots simulated in parallel."""
     hidden: tuple[int, ...] = (512, 256)
-    """Widths of the policy's hidden layers."""
     entropy: float = 0.0
-    """Weight of the entropy bonus."""
     randomize: Annotated[tuple[str, ...], opt.option("NAME=LOWER:UPPER ...")] = ()
-    """Properties of robot and ground to randomise, e.g. friction=0.4:1.2 payload=0:2."""
     evaluate_every: int = 500_000
-    """Steps between evaluations. The best evaluated policy is kept."""
     device: Annotated[str, opt.option("auto|cpu|cuda")] = "auto"
-    """Device of the networks; the simulation runs on the CPU."""
     threads: Annotated[int | None, opt.option("N")] = None
-    """Threads of the simulation. Default: one per core. The result does not depend on it."""
     update_threads: int = 1
-    """Threads of the networks on the CPU; more than one pays off only with many idle cores."""
     robot: opt.RobotChoice = None
     out: Annotated[Path | None, opt.option("FOLDER")] = None
-    """Folder of the results. Default: runs/MOTION-ROBOT-rl-SEED."""
     clip: opt.ClipReading
     folder: opt.Folder
 
-    def run(self) -> int:
+    def run(self) -> None:
         for name in ("steps", "evaluate_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"--{name.replace('_', '-')} must be at least 1, found {getattr(self, name)}")
@@ -110,7 +97,6 @@ class Train:
             raise
         put(*_report(evaluations))
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
-        return 0
 
 
 def _identity(

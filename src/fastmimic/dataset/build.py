@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from random import Random
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
@@ -18,9 +18,6 @@ from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
-
-if TYPE_CHECKING:
-    import pyarrow
 
 CONFIDENCE: Final = 0.5
 INDEX_EVERY: Final = 200
@@ -77,7 +74,7 @@ class Built:
     """Result of a build."""
 
     library: MotionDataset
-    table: "pyarrow.Table"  # the library's index, an Arrow table
+    table: Any  # the library's index, an Arrow table
     surveys: list[Survey]
     ids: frozenset[str]  # of the records of the requested sources' jobs
     done: int  # number of jobs done now; the others were finished before

@@ -100,7 +100,7 @@ def find_sources(
             raise LibraryError(f"{path}: no clips in this folder; files that may be end in {', '.join(suffixes())}")
         return found
     if path.suffix == ".list" or (path.suffix == ".csv" and _is_list(path)):
-        return _of_list(path, licence, credit)
+        return _of_list(path, {"licence": licence, "credit": credit})
     if not os.path.exists(path) and (path.suffix or "/" in str(place)):
         raise LibraryError(f"{place}: no such file or folder")
     if not os.path.exists(path):
@@ -147,7 +147,7 @@ def _is_list(path: Path) -> bool:
     return "source" in [cell.strip() for cell in header]
 
 
-def _of_list(path: Path, licence: str | None, credit: str | None) -> list[DatasetSource]:
+def _of_list(path: Path, known: Mapping[str, Any]) -> list[DatasetSource]:
     try:
         text = path.read_text(encoding="utf-8-sig")  # with a byte-order mark, as spreadsheets write it
     except FileNotFoundError:
@@ -164,15 +164,13 @@ def _of_list(path: Path, licence: str | None, credit: str | None) -> list[Datase
     else:
         lines = (line.split("#", 1)[0].strip() for line in text.splitlines())
         rows = [(number, {"source": line}) for number, line in enumerate(lines, 1) if line]
-    found = [_of_row(path, number, row, licence, credit) for number, row in rows]
+    found = [_of_row(path, number, row, known) for number, row in rows]
     if not found:
         raise LibraryError(f"{path}: the list is empty")
     return found
 
 
-def _of_row(
-    path: Path, number: int, row: Mapping[str, str | None], licence: str | None, credit: str | None
-) -> DatasetSource:
+def _of_row(path: Path, number: int, row: Mapping[str, str | None], known: Mapping[str, Any]) -> DatasetSource:
     given = {name: value.strip() for name, value in row.items() if name and value and value.strip()}
     if "source" not in given:
         raise LibraryError(f"{path}, line {number}: no source")
@@ -183,8 +181,7 @@ def _of_row(
     kinds["point_map"] = lambda text: str((path.parent / text).resolve())
     try:
         values = {name: kinds.get(name, str)(text) for name, text in given.items()}
-        known = {"licence": licence, "credit": credit} | values
-        return DatasetSource(str(beside.resolve()) if os.path.exists(beside) else place, **known)
+        return DatasetSource(str(beside.resolve()) if os.path.exists(beside) else place, **{**known, **values})
     except (ValueError, ConfigError) as error:
         raise LibraryError(f"{path}, line {number}: {error}") from None
 

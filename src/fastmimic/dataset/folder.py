@@ -55,8 +55,7 @@ _EXPORTED: Final = (
     *("file", "name", "robot", "seed", "gait", "footfall", "grade", "reward_mean", "period_s", "speed_m_per_s"),
     *("yaw_rate_rad_per_s", "source", "licence", "credit", "id"),
 )
-NEEDED: Final = (*_EXPORTED[1:], "robot_file", "motion_file", "lacks")
-"""Columns of the index that an export needs."""
+NEEDED: Final = (*_EXPORTED[1:], "robot_file", "motion_file", "lacks")  # columns of the index that an export needs
 
 Row = dict[str, Any]
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 
@@ -21,10 +21,6 @@ from fastmimic.base.errors import LibraryError
 from fastmimic.base.files import from_json, packaged, write_text
 from fastmimic.base.machine import optional
 from fastmimic.dataset.excerpts import Excerpt
-
-if TYPE_CHECKING:
-    import pyarrow
-
 
 Record = dict[str, Any]
 
@@ -261,7 +257,7 @@ def robot_of(record: Mapping[str, Any]) -> str:
 class Gathered:
     """All records of a library."""
 
-    table: "pyarrow.Table"  # those that belong to it, with `COLUMNS` and `GRADED`, sorted by name, robot, seed and id
+    table: Any  # Arrow's, of those that belong to it: `COLUMNS` and `GRADED`, sorted by name, robot, seed and id
     superseded: list[Superseded]  # the others
     torn: list[str]  # names of files without a whole record
 

@@ -9,8 +9,8 @@ import time
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
 from fastmimic.robot.state import READING
@@ -57,7 +57,7 @@ class A1Driver(RobotDriver):
         reading["quat"] /= norm
         return StateMessage(reading, tick, self._now())
 
-    def _send(self, command: NDArray[Any]) -> bool:
+    def _send(self, command: Records) -> bool:
         for k, name in enumerate(_FIELDS):
             self._command[k::5] = command[name][0]
         self._interface.send_command(self._command)
@@ -96,7 +96,7 @@ def _binding() -> Any:
     return interface
 
 
-def _reading(state: Any) -> NDArray[Any]:
+def _reading(state: Any) -> Records:
     """(1,) of `READING` from the SDK's state."""
     reading, imu, motors = np.zeros(1, READING), state.imu, state.motorState[:12]
     reading["quat"], reading["gyro"], reading["accel"] = imu.quaternion, imu.gyroscope, imu.accelerometer

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices, Records
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
@@ -174,7 +173,7 @@ def deploy(
     }
     truth_at = getattr(driver, "truth_at", None)  # a simulated robot's states, by the number of the message
 
-    def columns(rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def columns(rows: Records) -> dict[str, Records]:
         return {PERIODS: rows} if truth_at is None else {PERIODS: rows, TRUTH: truth_at(rows["sequence"])}
 
     writer = None
@@ -207,14 +206,14 @@ class ScoredLog:
     """The score of a deployment, and row by row what it is against."""
 
     rollout: Rollout
-    rows: NDArray[np.int64]  # (k,) those of the log that are scored
-    sample: NDArray[np.int64]  # (k,) of the demonstration
-    demonstration: NDArray[Any]  # (k,) of `SAMPLE`, in the world
+    rows: Indices  # (k,) those of the log that are scored
+    sample: Indices  # (k,) of the demonstration
+    demonstration: Records  # (k,) of `SAMPLE`, in the world
     terms: Array  # (k, n) the reward's, as in `REWARD_TERMS`
 
 
 def score_log(
-    robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: NDArray[Any] | None = None
+    robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: Records | None = None
 ) -> ScoredLog | None:
     """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none, or
     the robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of
@@ -269,7 +268,7 @@ def figures(scored: ScoredLog | None) -> dict[str, Any]:
     return {name: found[name] for name in (*_SCORED, *_COUNTED)}
 
 
-def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.int64]) -> NDArray[Any]:
+def true_states(log: DeploymentLog, truth: Records, sequence: Indices) -> Records:
     """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`. `truth` (k,) of `OBSERVATION` belongs
     to the messages numbered `sequence` (k,), ascending. Raises `DeploymentError` if the log has another message."""
     wanted = log.rows["sequence"]
@@ -282,7 +281,7 @@ def true_states(log: DeploymentLog, truth: NDArray[Any], sequence: NDArray[np.in
     return truth[at]
 
 
-def _first_clock(motion: Motion, row: Any, seen: Any) -> NDArray[Any]:
+def _first_clock(motion: Motion, row: Any, seen: Any) -> Records:
     """The reference's clock in the first row, moved from the robot's estimated place to the true one."""
     clock = make_clocks(motion, 1)
     clock["sample"] = row["sample"]
@@ -348,7 +347,7 @@ def command_errors(log: DeploymentLog) -> dict[str, float | None]:
     return found.as_dict()
 
 
-def _microseconds(seconds: NDArray[np.float64]) -> dict[str, float | None]:
+def _microseconds(seconds: Array) -> dict[str, float | None]:
     """Median, 99th percentile and maximum in µs; None without values."""
     if not len(seconds):
         return {"median": None, "p99": None, "max": None}

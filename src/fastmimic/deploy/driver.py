@@ -11,8 +11,8 @@ from importlib import import_module
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
@@ -28,8 +28,7 @@ WIRED: Final[dict[str, tuple[str, str, tuple[str, ...]]]] = {
     "a1": ("fastmimic.deploy.a1_driver", "A1Driver", ()),
     "b2": _GO2,
     "a2": _GO2,
-}
-"""Drivers by robot: module, class, and names of the driver's own options. A B2 and an A2 have the Go2's messages."""
+}  # by robot: module, class, and names of the driver's own options. A B2 and an A2 have the Go2's messages.
 DRIVERS: Final = (*WIRED, SIM)
 
 
@@ -37,7 +36,7 @@ DRIVERS: Final = (*WIRED, SIM)
 class StateMessage:
     """A copy of a state as it was received."""
 
-    reading: NDArray[Any]  # (1,) of `READING`
+    reading: Records  # (1,) of `READING`
     sequence: int  # the robot's own count of its messages
     received: float  # s on the driver's clock
 
@@ -91,7 +90,7 @@ class RobotDriver(ABC):
             self._wait(left)
         return state
 
-    def write(self, command: NDArray[Any]) -> None:
+    def write(self, command: Records) -> None:
         """Sends (1,) of `fastmimic.robot.state.COMMAND` to the motors; raises `DriverError` if it is not finite."""
         if not np.isfinite(command.view(np.float64)).all():
             raise DriverError("a command that is not finite was not sent to the motors")
@@ -126,7 +125,7 @@ class RobotDriver(ABC):
         time.sleep(min(_POLL_S, most_s))
 
     @abstractmethod
-    def _send(self, command: NDArray[Any]) -> bool:
+    def _send(self, command: Records) -> bool:
         """Sends a finite command; returns whether it left."""
 
     def __enter__(self) -> Self:
@@ -137,14 +136,14 @@ class RobotDriver(ABC):
         self.close()
 
 
-def damping_command(damping: float = 3.0) -> NDArray[Any]:
+def damping_command(damping: float = 3.0) -> Records:
     """(1,) of `COMMAND`: `damping` N·m·s/rad on every joint and nothing else: the robot sinks to the ground."""
     command = np.zeros(1, COMMAND)
     command["damping"] = damping
     return command
 
 
-def implausible_joint(robot: Robot, joint_pos: NDArray[np.float64]) -> str:
+def implausible_joint(robot: Robot, joint_pos: Array) -> str:
     """A message if a joint, of (12,) rad, is outside the robot's range; empty if all are plausible."""
     off = np.maximum(robot.joint_lower - joint_pos, joint_pos - robot.joint_upper)
     j = int(np.argmax(off))

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Final, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.conventions import RATE_RANGE_HZ
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_json
@@ -29,12 +29,9 @@ from fastmimic.runs.work_folder import MOTION, created
 ENDING: Final = ".mcap"
 LOG: Final = f"log{ENDING}"
 RESULT: Final = "deployment.json"
-PERIODS: Final = "/fastmimic/period"
-"""Topic of `ROW`."""
-TRUTH: Final = "/fastmimic/truth"
-"""Topic of a simulated robot's true states, (t,) of `OBSERVATION`, at the states used."""
-ROBOT_SIM: Final = "/fastmimic/robot_sim"
-"""Topic of `GROUND_TRUTH`."""
+PERIODS: Final = "/fastmimic/period"  # topic of `ROW`
+TRUTH: Final = "/fastmimic/truth"  # topic of a simulated robot's true states, (t,) of `OBSERVATION`, at the states used
+ROBOT_SIM: Final = "/fastmimic/robot_sim"  # topic of `GROUND_TRUTH`
 
 
 class _Ended(msgspec.Struct):
@@ -93,10 +90,10 @@ class DeploymentLog:
     """A deployment. `meta` holds `rate_hz`, `robot`, `motion`, `driver`, `method` and more; and `result`, unless the
     log was cut off."""
 
-    rows: NDArray[Any]  # (t,) of `ROW`
+    rows: Records  # (t,) of `ROW`
     motion: Motion
     meta: dict[str, Any]  # JSON-serialisable
-    truth: NDArray[Any] | None = None  # (t,) of `OBSERVATION`, at the states used; of a simulated robot
+    truth: Records | None = None  # (t,) of `OBSERVATION`, at the states used; of a simulated robot
 
     @property
     def rate_hz(self) -> float:
@@ -158,7 +155,7 @@ def is_deployment_log(path: str | Path) -> bool:
     return path.suffix == ENDING or (path / LOG).is_file() or (path / RESULT).is_file()
 
 
-def load_ground_truth(path: str | Path) -> NDArray[Any]:
+def load_ground_truth(path: str | Path) -> Records:
     """(t,) of `GROUND_TRUTH` as `fastmimic robot-sim --log` writes it, whole or cut off; raises `DeploymentError` for
     another file."""
     rows = read_log_file(Path(path), {ROBOT_SIM: GROUND_TRUTH}).rows[ROBOT_SIM]
@@ -191,13 +188,13 @@ class Recorder:
         """Begins anew, with time 0 in so many s."""
         self.periods, self.start_ns = 0, time.time_ns() + round(1e9 * in_s)
 
-    def next_row(self) -> NDArray[Any]:
+    def next_row(self) -> Records:
         """The row (1,) of this period, to be filled in before the next one is asked for."""
         at = self.periods % self.capacity
         self.periods += 1
         return self._rows[at : at + 1]
 
-    def rows(self, first: int = 0, end: int | None = None) -> NDArray[Any]:
+    def rows(self, first: int = 0, end: int | None = None) -> Records:
         """A copy of the rows from number `first` to `end`, all if None, that are not overwritten."""
         end = self.periods if end is None else end
         return self._rows[np.arange(max(first, self.periods - self.capacity), end) % self.capacity]
@@ -213,14 +210,13 @@ class LogWriter(Thread):
     """Writes a recorder's rows to a file while the block runs; the loop that records never waits for the disk. When
     that fails, or the disk is so slow that rows were overwritten, the log ends there."""
 
-    def __init__(self, recorder: Recorder, file: LogFile, columns: Callable[[NDArray[Any]], Mapping[str, Any]]) -> None:
+    def __init__(self, recorder: Recorder, file: LogFile, columns: Callable[[Records], Mapping[str, Any]]) -> None:
         """`columns` gives what is written of rows (t,), which have a `time_s`: by topic, (t,) of its kind."""
         super().__init__(name="log", daemon=True)
         self.recorder, self._file, self._columns = recorder, file, columns
         self._over = Event()
         self._written, self._until_s = 0, 0.0
-        self.ends: str | None = None
-        """When and why the log ends before the rows do."""
+        self.ends: str | None = None  # when and why the log ends before the rows do
 
     def __enter__(self) -> Self:
         self.start()

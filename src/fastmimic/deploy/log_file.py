@@ -22,12 +22,13 @@ from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Indices, Records
 from fastmimic.base.errors import DeploymentError, OutputError
 from fastmimic.base.files import from_json
 from fastmimic.base.text import plain
 
+Kinds = Mapping[str, np.dtype[Any]]  # of rows, by topic
 _TYPES: Final = {"f8": "float64", "i8": "int64", "i4": "int32", "i1": "int8", "b1": "bool"}
 _CDR: Final = b"\x00\x01\x00\x00"  # plain, little-endian
 _PER_ROW: Final = 64  # bytes of the file beside a row's own
@@ -57,7 +58,7 @@ class LogFile:
     def __init__(
         self,
         path: Path,
-        kinds: Mapping[str, np.dtype[Any]],
+        kinds: Kinds,
         planned_rows: int,
         attachments: Mapping[str, bytes] | None = None,
         metadata: Mapping[str, Any] | None = None,
@@ -81,9 +82,7 @@ class LogFile:
         except OSError as error:
             raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from None
 
-    def _begin(
-        self, kinds: Mapping[str, np.dtype[Any]], attachments: Mapping[str, bytes], metadata: Mapping[str, Any]
-    ) -> None:
+    def _begin(self, kinds: Kinds, attachments: Mapping[str, bytes], metadata: Mapping[str, Any]) -> None:
         # a chunk ends where `add_rows` does
         writer = Writer(self._stream, sys.maxsize, CompressionType.NONE, enable_data_crcs=True)
         self._writer, self._channels, self._count = writer, dict[str, int](), 0
@@ -97,7 +96,7 @@ class LogFile:
         self._add_metadata("begin", metadata)
         self._sync()
 
-    def add_rows(self, time_ns: NDArray[np.int64], rows: Mapping[str, NDArray[Any]]) -> None:
+    def add_rows(self, time_ns: Indices, rows: Mapping[str, Records]) -> None:
         """Appends (t,) rows of each topic at times since 1970, ns."""
         for topic, channel in self._channels.items():
             size, content = rows[topic].itemsize, rows[topic].tobytes()
@@ -136,12 +135,12 @@ class LogFile:
 class LogContent(NamedTuple):
     """What a file holds."""
 
-    rows: dict[str, NDArray[Any]]  # (t,) by topic
+    rows: dict[str, Records]  # (t,) by topic
     attachments: dict[str, bytes]
     metadata: dict[str, Any]
 
 
-def read_log_file(path: Path, kinds: Mapping[str, np.dtype[Any]]) -> LogContent:
+def read_log_file(path: Path, kinds: Kinds) -> LogContent:
     """Reads the rows of these topics and everything else. A file that was not ended is read up to its last whole part.
     Raises `DeploymentError` for no such file, a damaged one, or rows of another kind."""
     found, ended = LogContent({}, {}, {}), True

@@ -10,9 +10,8 @@ import math
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY, JOINT_NAMES
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import matrix_from_quat, quat_conjugate, quat_from_rotvec, quat_multiply, rotvec_from_quat
@@ -35,8 +34,7 @@ _MOVING_LOAD: Final = 0.3, 2.5  # the same, as a mean over `_LOAD_S` of the moti
 _LOAD_S: Final = 0.4
 _AXES: Final = "roll", "pitch", "yaw"
 
-Doubt = tuple[str, str]
-"""What cannot be believed (`IMU`, `JOINT` or `TORQUE`), and a line that says why."""
+Doubt = tuple[str, str]  # what cannot be believed (`IMU`, `JOINT` or `TORQUE`), and a line that says why
 
 
 _SUMS: Final = record_dtype(
@@ -100,13 +98,13 @@ class Senses:
         self.reset()
 
     def reset(self) -> None:
-        self._last: NDArray[Any] | None = None
+        self._last: Records | None = None
         self._sums = np.zeros(1, _SUMS)
         self._turn, _, _, self._beyond, self._mean, self._joints_then, self._wanted_then, self._still = (
             self._sums[name][0] for name in _SUMS.names or ()
         )
 
-    def check(self, reading: NDArray[Any], wanted: Array, elapsed_s: float) -> Doubt | None:
+    def check(self, reading: Records, wanted: Array, elapsed_s: float) -> Doubt | None:
         """What is wrong with a reading (1,) of `READING`, None if it fits. It came `elapsed_s` after the last one, 0 if
         it is that. `wanted` (12,) are the joint angles of the last command, rad."""
         if self._last is not None and elapsed_s == 0.0:
@@ -170,7 +168,7 @@ class Lean:
         turned = self._feet @ matrix_from_quat(quat_from_rotvec(self._rotation(share)))
         return inverse_kinematics(self._robot, turned)[0]
 
-    def add(self, reading: NDArray[Any], wanted: Array, elapsed_s: float, load: float) -> None:
+    def add(self, reading: Records, wanted: Array, elapsed_s: float, load: float) -> None:
         """Takes in a state (1,) of `READING`, the commanded joints (12,), and the `load` that the torques tell, N,
         NaN if none."""
         self._told.append((reading[0].copy(), wanted.copy(), elapsed_s, load))

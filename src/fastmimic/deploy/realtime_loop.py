@@ -4,8 +4,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from numpy.typing import NDArray
-
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.computer import LoopClock, Rehearsal, StopSwitch, VirtualClock
 from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
@@ -47,7 +46,6 @@ class Loop:
     def __post_init__(self) -> None:
         self._guard, self._dt = self.machine.guard, self.machine.dt
         self._damping = damping_command(self._guard.limits.damping)
-        self._state: StateMessage | None = None
         self._before, self._late, self._received = Packets(), 0.0, 0.0
         self._misses = self._skipped = 0
 
@@ -85,9 +83,10 @@ class Loop:
         self._record(state, True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
 
     def _begin(self) -> None:
-        self._state = self.driver.read(FIRST_STATE_S)
-        if self._state is None:
+        state = self.driver.read(FIRST_STATE_S)
+        if state is None:
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
+        self._state = state
         self._before = replace(self.driver.packets)
         self._received = self._state.received
         found = self.machine.begin(self._state.reading)
@@ -149,7 +148,6 @@ class Loop:
         clock, machine = self.clock, self.machine
         fresh = self._read()
         read = clock.now()
-        assert self._state is not None
         violation = self._guard.check_number(StopReason.STALE_STATE, read - self._state.received)
         if violation is not None and self._late > self._dt:
             # this computer paused: a newer state may be about to be delivered
@@ -188,7 +186,7 @@ class Loop:
         fresh: bool,
         phase: DeploymentPhase,
         moving: bool,
-        command: NDArray[Any],
+        command: Records,
         sent: bool,
         times: tuple[float, float, float],
     ) -> None:
@@ -227,13 +225,12 @@ class Loop:
             pass  # connection lost; the robot's watchdog damps it
         return self._outcome(violation.reason, violation.text, phase)
 
-    def _step_down(self, phase: DeploymentPhase, command: NDArray[Any]) -> None:
+    def _step_down(self, phase: DeploymentPhase, command: Records) -> None:
         """One period after the end: a command that needs no state."""
         if not self.dry:
             self.driver.write(command)
         self._began = sent = self.clock.now()
         fresh = self._read()
-        assert self._state is not None
         times = sent, sent, self.clock.now()
         self._record(self._state, fresh, phase, False, command, not self.dry, times)
         self._deadline = max(self._deadline, sent) + self._dt

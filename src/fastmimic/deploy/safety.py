@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.configuration import changed, check, pack, parameters, record_fields, tabulated
 from fastmimic.base.conventions import JOINT_NAMES
 from fastmimic.base.errors import ConfigError
@@ -138,8 +138,7 @@ class Violation:
 
 _LIMITS: Final = record_dtype(
     [*floats(joint_lower=12, joint_upper=12, speed_limit=12, torque_limit=12, dt=()), *record_fields(SafetyLimits)]
-)
-"""Limits of the robot, the period, and `SafetyLimits`, as the kernels read them."""
+)  # limits of the robot, the period, and `SafetyLimits`, as the kernels read them
 
 _FINE, _POSITION, _SPEED, _PEAK, _TORQUE, _TILT = range(6)
 _JOINT_CHECKS: Final = {
@@ -153,8 +152,7 @@ _NUMBER_CHECKS: Final = {
     StopReason.OVERRUN: ("overrun_s", 1e3, "a command was {:.1f} ms late; {:.0f} are allowed"),
     StopReason.QP_FAILURE: ("qp_failures", 1, "the stance QP failed {} times in a row; {} are allowed"),
     StopReason.POSTURE: ("posture", 1, "{:.2f} rad off the standing posture; {:g} are allowed"),
-}
-"""The limit of a number, the factor of both in the message, and the message."""
+}  # the limit of a number, the factor of both in the message, and the message
 
 
 @inlined
@@ -255,14 +253,14 @@ class Guard:
             return None
         return self._found(reason, where + text.format(factor * value, factor * limit))
 
-    def check_posture(self, reading: NDArray[Any], target: NDArray[np.float64]) -> Violation | None:
+    def check_posture(self, reading: Records, target: Array) -> Violation | None:
         """Checks that the joints are near a posture (12,), rad."""
         error = np.abs(reading["joint_pos"][0] - target)
         joint = int(np.argmax(error))
         return self.check_number(StopReason.POSTURE, error[joint], f"{JOINT_NAMES[joint]}: ")
 
     def check_state(
-        self, reading: NDArray[Any], table: NDArray[Any] | None = None, clock: NDArray[Any] | None = None
+        self, reading: Records, table: Records | None = None, clock: Records | None = None
     ) -> Violation | None:
         """Checks a state (1,) of `READING`, its tilt against the reference: `table` (t,) of `SAMPLE`, None for upright,
         at `clock` (1,) of `CLOCK`."""
@@ -283,7 +281,7 @@ class Guard:
     def check_doubt(self, doubt: Doubt | None) -> Violation | None:
         return None if doubt is None else self._found(StopReason(doubt[0]), doubt[1])
 
-    def check_estimate(self, observation: NDArray[Any], table: NDArray[Any], clock: NDArray[Any]) -> Violation | None:
+    def check_estimate(self, observation: Records, table: Records, clock: Records) -> Violation | None:
         """Checks the controller's input, (1,) of `OBSERVATION`, against the reference."""
         if not _finite(observation):
             return self._found(StopReason.NOT_FINITE, "the estimate of the robot's state is not finite")
@@ -294,7 +292,7 @@ class Guard:
         text = f"the base is {height:.3f} m above the ground; {least:.3f} to {most:.3f} m are allowed"
         return self._found(StopReason.HEIGHT, text)
 
-    def cut_command(self, command: NDArray[Any]) -> Violation | None:
+    def cut_command(self, command: Records) -> Violation | None:
         """Cuts a command (1,) of `COMMAND` to the limits, in place."""
         self.cut = _cut_command(self._record, command)
         if self.cut >= 0:
@@ -309,5 +307,5 @@ class Guard:
         return None
 
 
-def _finite(record: NDArray[Any]) -> bool:
+def _finite(record: Records) -> bool:
     return bool(np.isfinite(record.view(np.float64)).all())

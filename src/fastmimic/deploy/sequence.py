@@ -7,12 +7,11 @@ entered and left by the strides with which it begins and ends, as cycles.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
@@ -53,8 +52,8 @@ class MotionSequence:
 
     motion: Motion
     text: str
-    table: NDArray[Any]
-    gains: NDArray[Any]
+    table: Records
+    gains: Records
     first: int
     last: int
     library: MotionSet
@@ -90,7 +89,7 @@ class Follower:
         name = self.sequence.motion.name
         return self.sequence.text if self.in_motion else f"blending {'out of' if self._left else 'into'} {name}"
 
-    def advance(self, observation: NDArray[Any], memory: NDArray[Any]) -> bool:
+    def advance(self, observation: Records, memory: Records) -> bool:
         """Advances by one control step; returns whether the motion itself has begun or ended. Where a cycle starts, x
         and y are set by the `observation` (1,) of `OBSERVATION`. The haste is that of the controller's `memory` (1,) of
         `MEMORY`; the motion is left in its own time."""
@@ -121,7 +120,7 @@ class Follower:
         self.clock = make_clocks(way.motion, 1)
         place_clocks(self.clock, np.array([(way.first + passed) % way.motion.n_samples]), self.tables[0], pose[None])
 
-    def advance_motion(self, observation: NDArray[Any], memory: NDArray[Any]) -> bool:
+    def advance_motion(self, observation: Records, memory: Records) -> bool:
         """A control step in the motion itself; returns whether it has ended."""
         way, clock, haste = self.sequence, self.clock, memory["haste"]
         if (int(clock["sample"][0]) + 1) % way.motion.n_samples == way.last:
@@ -169,7 +168,7 @@ class SteeredFollower(Follower):
         self._steered.put(*pose)
         self._show()
 
-    def advance_motion(self, observation: NDArray[Any], memory: NDArray[Any]) -> bool:
+    def advance_motion(self, observation: Records, memory: Records) -> bool:
         """A control step while it is steered; it ends in standing."""
         memory["lag"] = 0.0  # in haste, too, feet that stand keep their places
         wanted = np.zeros(3) if self.leaving else self._commands(self.steps / RATE_HZ)

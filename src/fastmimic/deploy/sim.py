@@ -6,9 +6,8 @@ from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices, Records
 from fastmimic.base.configuration import check, documented, parameter
 from fastmimic.base.errors import ConfigError
 from fastmimic.deploy.computer import LoopClock, VirtualClock
@@ -53,7 +52,7 @@ class MotionService:
         self.active = True
         self.stand_up()
 
-    def command(self, dt: float) -> NDArray[Any]:
+    def command(self, dt: float) -> Records:
         """(1,) of `COMMAND` for the next dt s."""
         self._time = min(self._time + dt, _MOVE_S)
         share = smooth(self._time / _MOVE_S)
@@ -88,7 +87,7 @@ class SimulatedBody:
         self._dt, self._standing, self._watchdog_s = 1.0 / rate_hz, start == "standing", watchdog_s
         self._damping = damping_command()
 
-    def reset(self, generator: np.random.Generator) -> NDArray[Any]:
+    def reset(self, generator: np.random.Generator) -> Records:
         """Puts the robot at rest at its start; returns (1,) of `READING`. `generator` draws the sensors' errors."""
         path, height = rising_path(self.robot, self.robot.home_joint_pos)
         joints = path[0]
@@ -109,7 +108,7 @@ class SimulatedBody:
         """Since the start, s."""
         return self.steps * self._dt
 
-    def obey(self, command: NDArray[Any]) -> None:
+    def obey(self, command: Records) -> None:
         """Takes a new command (1,) of `COMMAND`."""
         self._last[...] = command
         self._commanded = self.steps
@@ -130,7 +129,7 @@ class SimulatedBody:
         landed = self.observation["other_contact"][0] > 0 and falling > _IMPACT
         self.fell = self.fell or bool(1 - 2 * (x * x + y * y) < TIPPED or landed)
 
-    def measure(self) -> NDArray[Any]:
+    def measure(self) -> Records:
         """(1,) of `READING`, delivered by the sensors after this step."""
         return self.sensors.measure(self.observation, self.sensors.command)
 
@@ -167,7 +166,7 @@ class Packet(NamedTuple):
     intact: bool
     content: bytes
 
-    def record(self, kind: np.dtype[Any]) -> tuple[NDArray[Any], bool]:
+    def record(self, kind: np.dtype[Any]) -> tuple[Records, bool]:
         """The record (1,), and whether it is undamaged and finite."""
         found = np.frombuffer(bytearray(self.content), kind)
         return found, self.intact and bool(np.isfinite(found.view(np.float64)).all())
@@ -183,7 +182,7 @@ class SimulatedLink:
         self._under_way: list[Packet] = []
         self._sent = self.lost = self.corrupted = 0
 
-    def send(self, now: float, sequence: int, record: NDArray[Any]) -> None:
+    def send(self, now: float, sequence: int, record: Records) -> None:
         """Sends a record (1,) at a time in s."""
         faults = self.faults
         lost = doubled = late = flipped = nan = 1.0
@@ -241,7 +240,7 @@ class SimDriver(RobotDriver):
         self.body = SimulatedBody(robot, simulation, sensors, _RATE_HZ, start)
         self._truth: list[bytes] = []
 
-    def truth_at(self, sequence: NDArray[np.int64]) -> NDArray[Any]:
+    def truth_at(self, sequence: Indices) -> Records:
         """(k,) of `OBSERVATION`: the true states of messages by number (k,)."""
         return np.frombuffer(bytearray().join(self._truth[number] for number in sequence.tolist()), OBSERVATION)
 
@@ -264,7 +263,7 @@ class SimDriver(RobotDriver):
     def _wait(self, most_s: float) -> None:
         self._clock.sleep_until(self._now() + min(self._dt, most_s))
 
-    def _send(self, command: NDArray[Any]) -> bool:
+    def _send(self, command: Records) -> bool:
         self._commands.send(self._now(), self.packets.sent, command)
         return True
 

@@ -129,9 +129,7 @@ class SimServer:
         }
         self._servers = [messages.ServiceServer(participant, name, found) for name, found in handlers.items()]
 
-    def run(
-        self, stop: Event, duration_s: float = math.inf, report: Callable[["SimServer"], None] = lambda sim: None
-    ) -> None:
+    def run(self, stop: Event, duration_s: float = math.inf, report: Callable[[Any], None] = lambda sim: None) -> None:
         """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every second."""
         dt = 1.0 / PHYSICS_RATE_HZ
         if self._log is not None:

@@ -5,9 +5,8 @@ from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.rotations import yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.control.controller import Controller
@@ -91,7 +90,7 @@ class StateMachine:
         self.phase, self._steps = DeploymentPhase.HOLD, 0
         self.violation: Violation | None = None
 
-    def begin(self, reading: NDArray[Any]) -> Violation | None:
+    def begin(self, reading: Records) -> Violation | None:
         """Begins with the first state (1,) of `READING`; returns a violation that prevents standing up."""
         self.guard.reset()
         self._last[...] = np.zeros(1, COMMAND)  # not what was rehearsed
@@ -103,7 +102,7 @@ class StateMachine:
             self._go(DeploymentPhase.HOLD, reading)
         return found
 
-    def warm_up(self, reading: NDArray[Any], rehearse: Callable[[], bool] | None = None) -> None:
+    def warm_up(self, reading: Records, rehearse: Callable[[], bool] | None = None) -> None:
         """Runs all phases once to compile and cache everything, then steps of the motion while `rehearse` says so, and
         begins again."""
         follower, guard = self.follower, self.guard
@@ -136,7 +135,7 @@ class StateMachine:
         """Whether the robot executes the motion itself, neither blending in nor out."""
         return self.phase is DeploymentPhase.FOLLOW and self.follower.in_motion
 
-    def crouch(self, share: float) -> NDArray[Any]:
+    def crouch(self, share: float) -> Records:
         """(1,) of `COMMAND` at a share in [0, 1] of crouching: all legs come to where they stand, as long as the
         longest one is, and fold. It goes by joint angles alone, from the last command on: no sensor need be right."""
         if share == 0.0:
@@ -152,7 +151,7 @@ class StateMachine:
         self.follower.leaving = True
         self._leave_early = True
 
-    def step(self, reading: NDArray[Any], elapsed_s: float | None = None) -> NDArray[Any]:
+    def step(self, reading: Records, elapsed_s: float | None = None) -> Records:
         """One control step from the newest state (1,) of `READING`, `elapsed_s` after the last one: 0 if it is the same
         one, a period if None. Returns (1,) of `COMMAND`, overwritten by the next call; it must not be sent if
         `violation` is set."""
@@ -172,13 +171,13 @@ class StateMachine:
                 return command
         return self._posture(reading)
 
-    def _check(self, reading: NDArray[Any], elapsed_s: float, *reference: Any) -> Violation | None:
+    def _check(self, reading: Records, elapsed_s: float, *reference: Any) -> Violation | None:
         """A limit that a state is beyond, or sensors that contradict each other, who also tell its tilt."""
         limit = self.guard.check_state(reading, *reference)
         doubt = self.guard.check_doubt(self.guard.senses.check(reading, self._last["joint_pos"][0], elapsed_s))
         return doubt or limit if limit is None or limit.reason is StopReason.TILT else limit
 
-    def _follow(self) -> NDArray[Any]:
+    def _follow(self) -> Records:
         """The controller's command; after the last one, the phase is `SIT`."""
         observation, follower = self.observation, self.follower
         if follower.advance(observation, self.controller.memory):
@@ -199,7 +198,7 @@ class StateMachine:
         self.violation = self.guard.check_number(StopReason.QP_FAILURE, failed)
         return self._cut(command)
 
-    def _cut(self, command: NDArray[Any]) -> NDArray[Any]:
+    def _cut(self, command: Records) -> Records:
         found = self.guard.cut_command(command)
         self._last[...] = command
         self.violation = self.violation if self.violation is not None else found
@@ -211,14 +210,14 @@ class StateMachine:
         torque = last["torque"] + last["stiffness"] * (last["joint_pos"] - joints)
         self._from = joints + torque / self._stiffness
 
-    def _hold(self, joints: Array, stiffness: float = 1.0) -> NDArray[Any]:
+    def _hold(self, joints: Array, stiffness: float = 1.0) -> Records:
         """The command (1,) that holds joints (12,), rad, at a share of the standing stiffness."""
         command = self._command
         command["joint_pos"], command["joint_vel"], command["torque"] = joints, 0.0, 0.0
         command["stiffness"], command["damping"] = stiffness * self._stiffness, self._damping
         return self._cut(command)
 
-    def _posture(self, reading: NDArray[Any]) -> NDArray[Any]:
+    def _posture(self, reading: Records) -> Records:
         """The command of a phase without the controller; at its end the next phase begins."""
         phase, path, stiffness = self.phase, self._path, 1.0
         share = (self._steps + 1) * self.dt / phase.lasts_s if phase.lasts_s else 1.0
@@ -242,7 +241,7 @@ class StateMachine:
             self._next(reading)
         return command
 
-    def _next(self, reading: NDArray[Any]) -> None:
+    def _next(self, reading: Records) -> None:
         if self.phase is DeploymentPhase.HOLD:
             height, stand = _height(self.robot, reading["joint_pos"][0]), _height(self.robot, self.sequence.stand)
             self._folded = height < _STANDING * stand
@@ -265,7 +264,7 @@ class StateMachine:
         elif self.phase is not DeploymentPhase.DONE:
             self._go(list(DeploymentPhase)[self.phase + 1], reading)
 
-    def _go_on(self, reading: NDArray[Any]) -> None:
+    def _go_on(self, reading: Records) -> None:
         """From standing to the motion, or down again."""
         if self._leave_early:
             self._go(DeploymentPhase.SIT, reading)
@@ -273,11 +272,11 @@ class StateMachine:
             self._start_following()
             self.phase = DeploymentPhase.FOLLOW
 
-    def _go(self, phase: DeploymentPhase, reading: NDArray[Any]) -> None:
+    def _go(self, phase: DeploymentPhase, reading: Records) -> None:
         self.phase, self._steps = phase, 0
         self._from = np.array(reading["joint_pos"][0])
 
-    def _start_estimating(self, reading: NDArray[Any]) -> None:
+    def _start_estimating(self, reading: Records) -> None:
         """Starts the estimator with the robot at the world's origin, facing x."""
         self.estimator.reset(reading, np.zeros(1, START), _LEGS)
         self._load.reset()

@@ -14,6 +14,7 @@ from fastmimic.base.registry import load_extensions
 EXECUTORS: Final = {"local": "processes on this machine", "ray": "a Ray cluster"}
 ATTEMPTS: Final = 4  # starts of a job, in all, if its process or machine dies
 
+Told = Callable[[int, float], None]  # takes a job's index and its finished share in [0, 1]
 Report = Callable[[float], None]  # takes a job's finished share in [0, 1], called now and then
 Work = Callable[[Any, Report], Any]  # a module's function, called with each job: other processes import it by its name
 
@@ -27,14 +28,15 @@ class JobOutcome:
     error: FastMimicError | None = None  # what it raised; a `WorkerError` if its process or machine was lost every time
 
 
+Outcomes = Generator[JobOutcome, None, None]
+
+
 class Executor(Protocol):
     @property
     def workers(self) -> int:
         """How many run at a time, as far as known beforehand."""
 
-    def run(
-        self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[JobOutcome, None, None]:
+    def run(self, work: Work, jobs: Iterable[Any], progress: Told | None = None) -> Outcomes:
         """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it, or
         Ctrl-C, stops what runs. `progress` is called with a job's index and finished share, before its outcome. Raises
         `ClusterError` if no more jobs can run, and what a job raises, if it is no `FastMimicError`: a defect."""

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 import traceback
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from fastmimic.base.errors import WorkerError
 from fastmimic.base.machine import available_cores
-from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
+from fastmimic.executors import ATTEMPTS, JobOutcome, Outcomes, Told, Work, attempt, check_workers
 
 _ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CONTEXT: Final = multiprocessing.get_context("spawn")
@@ -33,9 +33,7 @@ class LocalExecutor:
         self.workers = workers if workers is not None else available_cores()
         self._in_process = in_process
 
-    def run(
-        self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[JobOutcome, None, None]:
+    def run(self, work: Work, jobs: Iterable[Any], progress: Told | None = None) -> Outcomes:
         tell = progress if progress is not None else lambda index, share: None
         if self.workers > 1 or not self._in_process:
             with _one_thread_each():
@@ -88,9 +86,7 @@ class _Worker:
         return self._process.exitcode
 
 
-def _spread(
-    work: Work, jobs: Iterable[Any], workers: int, progress: Callable[[int, float], None]
-) -> Generator[JobOutcome, None, None]:
+def _spread(work: Work, jobs: Iterable[Any], workers: int, progress: Told) -> Outcomes:
     waiting = enumerate(jobs)
     busy: list[_Worker] = []
     try:

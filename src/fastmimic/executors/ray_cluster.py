@@ -7,30 +7,23 @@ installed package and the place of the files that jobs use.
 import logging
 import os
 import socket
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any, Final
 
 from fastmimic.base.errors import ClusterError, ConfigError, FastMimicError, WorkerError
+from fastmimic.base.files import packaged
 from fastmimic.base.machine import available_cores, optional
-from fastmimic.executors import ATTEMPTS, JobOutcome, Work, attempt, check_workers
+from fastmimic.executors import ATTEMPTS, JobOutcome, Outcomes, Told, Work, attempt, check_workers
 
 _AHEAD: Final = 2  # jobs handed out for each core, so that none waits for the next
 _POLL_S: Final = 1.0
 _REACHED_S: Final = 5.0
 _NOT_IMPORTED: Final = "failed to import on the worker"  # as Ray says it
 _NO_MODULE: Final = "No module named"
-_LOST: Final = {
-    "WorkerCrashedError": f"its process died {ATTEMPTS} times; python-core-worker-*.log among Ray's logs may say why",
-    "OutOfMemoryError": "Ray stopped it, as its machine ran out of memory; fewer jobs on a machine leave more to each",
-    "NodeDiedError": f"its machine was lost {ATTEMPTS} times",
-    "OutOfDiskError": "its machine's disk is full",
-    "ObjectStoreFullError": "Ray's memory for results is full on its machine",
-    "ObjectLostError": "its result was lost with the machine that had it",
-    "TaskCancelledError": "somebody cancelled it",
-    "TaskUnschedulableError": "no machine of the cluster can run it",
-}  # by Ray's exceptions, for a job that used all its attempts
+_LOST: Final = packaged("fastmimic.executors", "lost.json", dict[str, str])
+"""What is said of a job that used all its attempts, by Ray's exceptions."""
 
 
 def require_ray() -> Any:
@@ -62,9 +55,7 @@ class RayExecutor:
         cores = int(ray.cluster_resources().get("CPU", 1)) if ray.is_initialized() else available_cores()
         return cores if self._limit is None else min(cores, self._limit)
 
-    def run(
-        self, work: Work, jobs: Iterable[Any], progress: Callable[[int, float], None] | None = None
-    ) -> Generator[JobOutcome, None, None]:
+    def run(self, work: Work, jobs: Iterable[Any], progress: Told | None = None) -> Outcomes:
         """As `Executor.run`; progress is reported only when a job is done."""
         ray = require_ray()
         own = not ray.is_initialized()
@@ -132,7 +123,7 @@ def _result(ray: Any, reference: Any) -> tuple[Any, FastMimicError | None]:
             raise ConfigError(f"{said}; install the same FastMimic on all") from None
         raise raised.as_instanceof_cause() from None
     except ray.exceptions.RayError as lost:
-        known = (said for name, said in _LOST.items() if isinstance(lost, _kinds(ray, name)))
+        known = (said.format(attempts=ATTEMPTS) for name, said in _LOST.items() if isinstance(lost, _kinds(ray, name)))
         return None, WorkerError(next(known, f"Ray lost it: {_first_line(lost)}"))
     return result, error
 

@@ -57,10 +57,8 @@ class ComparisonPlan:
         for name in self.methods:
             method_named(name)
         if RL in self.methods and not self.policies:
-            raise ConfigError(
-                f"method '{RL}' needs a trained policy for each motion: --policy FILE or FOLDER ...; 'fastmimic train'"
-                " makes one"
-            )
+            needs = f"method '{RL}' needs a trained policy for each motion"
+            raise ConfigError(f"{needs}: --policy FILE or FOLDER ...; 'fastmimic train' makes one")
         if self.policies and RL not in self.methods:
             raise ConfigError(f"policies are for the method '{RL}', which is not among {', '.join(self.methods)}")
         compared.check_unique("motion", [_stem(motion) for motion in self.motions])
@@ -159,10 +157,9 @@ def prepare(plan: ComparisonPlan, out: Path, *, keep: bool, prepared: Callable[[
         if run.method == RL and run not in policies:
             policies[run] = policy_for(out / RUNS / run.folder / POLICY_FILE, robot, known[path])
         if row.get("digest") != compared.digest(run, plan.settings, robot, known[path], policies.get(run)):
-            raise OutputError(
-                f"{out / RUNS / run.folder}: a finished run of another {'policy' if run in policies else 'controller'},"
-                " motion or robot than this installation's; choose another --out, or --overwrite it"
-            )
+            other = f"another {'policy' if run in policies else 'controller'}, motion or robot than this installation's"
+            said = f"{out / RUNS / run.folder}: a finished run of {other}"
+            raise OutputError(f"{said}; choose another --out, or --overwrite it")
     tasks = (
         RunTask(run, plan.settings, _motion_file(out, run), out / RUNS / run.folder, plan.policies.get(run))
         for run in plan.runs
@@ -195,10 +192,8 @@ def choose_policies(places: Sequence[Path], motions: Sequence[str]) -> dict[Run,
         found[run] = file
     missing = [motion for motion in motions if all(run.motion != motion for run in found)]
     if missing:
-        raise ConfigError(
-            f"no policy for {', '.join(missing)} in {', '.join(str(p) for p in places)}; 'fastmimic train' makes one,"
-            " or leave the motion out with --motions"
-        )
+        said = f"no policy for {', '.join(missing)} in {', '.join(str(p) for p in places)}"
+        raise ConfigError(f"{said}; 'fastmimic train' makes one, or leave the motion out with --motions")
     return {run: found[run] for run in sorted(found, key=lambda run: (motions.index(run.motion), run.seed))}
 
 

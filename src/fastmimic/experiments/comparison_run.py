@@ -182,7 +182,7 @@ def perform(task: RunTask, report: Report) -> Row:
         controller=controller,
     )
     began = time.perf_counter()
-    row = _row(run, settings, result, folder, controller)
+    row = _row(task, result, controller)
     row |= {
         "wall_s": result.wall_s + time.perf_counter() - began,
         "cpu_s": None if resumed else time.process_time() - busy,
@@ -232,12 +232,10 @@ def _with_training(row: Row, policy: Policy) -> Row:
     }
 
 
-def _row(
-    run: Run, settings: ComparisonSettings, result: Imitation, folder: Path, controller: MakeController | None = None
-) -> Row:
-    robot, demonstration = result.robot, result.demonstration
+def _row(task: RunTask, result: Imitation, controller: MakeController | None) -> Row:
+    robot, demonstration, run, settings = result.robot, result.demonstration, task.run, task.settings
     measured = measurement.measure(result, settings.evaluation_s, settings.perturbed_episodes, controller)
-    _save_tracking(folder / TRACKING, demonstration, measured.before, measured.after, robot)
+    _save_tracking(task.folder / TRACKING, demonstration, measured.before, measured.after, robot)
     found = {
         **asdict(run),
         **measured.figures,

@@ -108,10 +108,8 @@ def check_length(motion: Motion, names: Sequence[str], settings: StressSettings)
     seconds = episode_duration(motion, settings.duration_s)
     late = [name for name in names if swept(name).timed]
     if late and seconds <= PUSH_TIME_S:
-        raise ConfigError(
-            f"an episode of {seconds:g} s ends before the push at {PUSH_TIME_S:g} s; leave out"
-            f" '{late[0]}', or give a longer --duration"
-        )
+        said = f"an episode of {seconds:g} s ends before the push at {PUSH_TIME_S:g} s"
+        raise ConfigError(f"{said}; leave out '{late[0]}', or give a longer --duration")
     return seconds
 
 

@@ -9,10 +9,9 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
 from fastmimic.base.rotations import matrix_from_quat
@@ -38,9 +37,9 @@ class GroundForces:
     free: Array  # (t, 4, 3) torque of the legs alone, N·m
     velocity: Array  # (t, 4, 2) of the points under the feet along the ground, m/s
     sensed: Array  # (t, 4) the foot sensors without their offsets, N
-    loaded: NDArray[np.bool_]  # (t, 4) touches the ground by its sensor
+    loaded: Flags  # (t, 4) touches the ground by its sensor
     settled_s: Array  # (t, 4) time to the nearer end of that contact, or of its absence, s
-    usable: NDArray[np.bool_]  # (t,) upright and past the start
+    usable: Flags  # (t,) upright and past the start
     need: Array  # (t,) vertical force that the robot without payload needs, N
     lift: Array  # (t,) vertical acceleration minus gravity's, which a payload on the trunk would share, m/s²
 
@@ -136,7 +135,7 @@ def _sensed(log: RunLog) -> Array:
     return sensed
 
 
-def _settled(on: NDArray[np.bool_]) -> Array:
+def _settled(on: Flags) -> Array:
     """(t, 4) samples to the nearer change of each column."""
     t = np.arange(len(on))[:, None]
     change = np.diff(on, axis=0, prepend=~on[:1])

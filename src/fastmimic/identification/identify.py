@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, stretches
 from fastmimic.base.configuration import changed
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import LogError
@@ -146,7 +146,7 @@ def identify_friction(forces: GroundForces, robot: Robot) -> Friction:
     return Friction(value, max(0.0, value - spread), value + spread, len(events), seconds)
 
 
-def _pressed(forces: GroundForces, force: Array, robot: Robot) -> NDArray[np.bool_]:
+def _pressed(forces: GroundForces, force: Array, robot: Robot) -> Flags:
     """(t, 4) where a ratio of forces means anything."""
     pressed = forces.loaded & (forces.settled_s >= EDGE_S) & forces.usable[:, None]
     return np.asarray(pressed & (force[..., 2] > PRESSED * robot.mass * GRAVITY))
@@ -226,7 +226,7 @@ def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces 
     return Payload(mass, mass - spread, mass + spread, unloaded is not None)
 
 
-def _standing(forces: GroundForces) -> NDArray[np.bool_]:
+def _standing(forces: GroundForces) -> Flags:
     """(t,) samples in which every foot either stands or swings, at least two stand, and none has just switched."""
     least = np.where(forces.loaded, STANDING_S, SWINGING_S)
     sure = (forces.settled_s >= least).all(axis=1) & (forces.loaded.sum(axis=1) >= 2) & forces.usable

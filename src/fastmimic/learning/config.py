@@ -1,11 +1,11 @@
 """Settings of a policy's observation, action, rates and gains, as in Peng et al. 2020."""
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.configuration import check, pack, record_fields, tabulated
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, record_dtype
@@ -48,11 +48,10 @@ SETTINGS: Final = record_dtype(
         *floats(numerator=3, denominator=2),  # of the filter, without the leading 1
         *floats(home=12, lower=12, upper=12),  # rad; home: the target of a zero action
     ]
-)
-"""`PolicyConfig` and the robot's limits in the kernels' format."""
+)  # `PolicyConfig` and the robot's limits in the kernels' format
 
 
-def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:
+def pack_settings(config: PolicyConfig, robot: Robot) -> Records:
     numerator, denominator = low_pass(config.filter_cutoff_hz, config.rate_hz)
     record = np.zeros(1, SETTINGS)
     pack(config, record)
@@ -61,7 +60,7 @@ def pack_settings(config: PolicyConfig, robot: Robot) -> NDArray[Any]:
     return record
 
 
-def low_pass(cutoff_hz: float, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def low_pass(cutoff_hz: float, rate_hz: float) -> tuple[Array, Array]:
     """Second-order Butterworth low-pass by the bilinear transform: numerator (3,) and denominator (3,)."""
     k = np.tan(np.pi * cutoff_hz / rate_hz)
     norm = 1.0 + np.sqrt(2.0) * k + k * k
@@ -69,7 +68,7 @@ def low_pass(cutoff_hz: float, rate_hz: float) -> tuple[NDArray[np.float64], NDA
     return np.array([b, 2 * b, b]), np.array([1.0, 2 * (k * k - 1) / norm, (1 - np.sqrt(2.0) * k + k * k) / norm])
 
 
-def action_bounds(config: PolicyConfig, robot: Robot) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def action_bounds(config: PolicyConfig, robot: Robot) -> tuple[Array, Array]:
     """Least and greatest action (12,), for joint targets at the joints' limits."""
     home, scale = robot.home_joint_pos, config.action_scale
     return (robot.joint_lower - home) / scale, (robot.joint_upper - home) / scale

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Flags
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, action_bounds
 from fastmimic.learning.episodes import EPISODE_S, Episodes, Seen
@@ -127,9 +128,7 @@ class ImitationVectorEnv(VectorEnv[Seen, NDArray[np.float32], NDArray[Any]]):
             self._episodes.random = self.np_random
         return self._episodes.reset().copy(), {}
 
-    def step(
-        self, actions: NDArray[np.float32]
-    ) -> tuple[Seen, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(self, actions: Seen) -> tuple[Seen, NDArray[Any], Flags, Flags, dict[str, Any]]:
         """One policy step of all robots: observations, rewards, falls, truncations (n, …), info."""
         outcome = self._episodes.step(np.asarray(actions, np.float64))
         info: dict[str, Any] = {}

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix, transposed_times
@@ -49,14 +49,14 @@ class Outcome:
 
     seen: Seen  # (n, `OBSERVATION_SIZE`) observations; after the end of an episode, those of the next one's start
     reward: Array  # (n,) mean over the step's control steps, 0 after a fall
-    fell: NDArray[np.bool_]  # (n,) episodes that ended by a fall
-    ended: NDArray[np.bool_]  # (n,) those that ended at their full length
+    fell: Flags  # (n,) episodes that ended by a fall
+    ended: Flags  # (n,) those that ended at their full length
     final: Seen  # (k, `OBSERVATION_SIZE`) last observations of the k episodes that ended
     score: Array  # (k,) mean reward of these over the full length, 0 after a fall
-    steps: NDArray[np.int64]  # (k,) policy steps until their end
+    steps: Indices  # (k,) policy steps until their end
 
     @property
-    def done(self) -> NDArray[np.bool_]:
+    def done(self) -> Flags:
         """(n,) bool, episodes that ended either way."""
         return self.fell | self.ended
 
@@ -168,7 +168,7 @@ class Episodes:
             raise ConfigError(f"motion '{self.motion.name}' is shorter than a policy step")
         return max(1, n - self.config.decimation * min(self._steps, _LEAST_STEPS))
 
-    def _begin(self, rows: NDArray[np.int64]) -> None:
+    def _begin(self, rows: Indices) -> None:
         draws = self.random.random((len(rows), DRAWS))
         for shard, part in zip(self._shards, self._parts, strict=True):
             mine = (rows >= part.start) & (rows < part.stop)
@@ -184,7 +184,7 @@ class Shard:
         self,
         robot: Robot,
         motion: Motion,
-        table: NDArray[Any],
+        table: Records,
         n: int,
         config: PolicyConfig,
         robots: tuple[Disturbance, ...],
@@ -201,7 +201,7 @@ class Shard:
         self._commands = np.zeros(n, COMMAND)
         self._rotation = np.zeros((3, 3))
 
-    def begin(self, rows: NDArray[np.int64], draws: Array, noise: float, room: int, steps: int, seen: Seen) -> None:
+    def begin(self, rows: Indices, draws: Array, noise: float, room: int, steps: int, seen: Seen) -> None:
         """Begins episodes of the robots in `rows` at one of the first `room` samples, of at most `steps` policy steps,
         and writes their observations. `draws` (k, `DRAWS`) are uniform in [0, 1): phase, joints, velocity; `noise` is 1
         for starts off the reference motion, 0 for starts on it."""
@@ -219,9 +219,7 @@ class Shard:
         observe(self._settings, self._tables, clocks, placed, senses, self._rotation, out)
         self._clocks[rows], self._senses[rows], seen[rows] = clocks, senses, out
 
-    def step(
-        self, actions: Array, seen: Seen, reward: Array, fell: NDArray[np.bool_], ended: NDArray[np.bool_]
-    ) -> None:
+    def step(self, actions: Array, seen: Seen, reward: Array, fell: Flags, ended: Flags) -> None:
         """One policy step; writes into the arrays after `actions`."""
         act(self._settings, actions, self._senses)
         simulation, clocks, tables, commands = self.simulation, self._clocks, self._tables, self._commands

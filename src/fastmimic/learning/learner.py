@@ -76,9 +76,8 @@ class TrainingSettings:
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError(f"training: hidden layers need a width, found {self.hidden}")
         if self.steps_per_iteration < self.minibatches:
-            raise ConfigError(
-                f"training: {self.steps_per_iteration} steps cannot be divided into {self.minibatches} minibatches"
-            )
+            said = f"{self.steps_per_iteration} steps cannot be divided into {self.minibatches} minibatches"
+            raise ConfigError(f"training: {said}")
 
     @property
     def steps_per_iteration(self) -> int:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
@@ -23,13 +23,12 @@ SENSES: Final = record_dtype(
         *floats(filter_in=(2, 12), filter_out=(2, 12), before=12, after=12),
         ("age", "i8"),  # control steps since the last action; −1 before the first
     ]
-)
-"""Memory of one robot between policy steps."""
+)  # memory of one robot between policy steps
 
 _FRAMES: Final = np.array(FRAMES, dtype=np.int64)
 
 
-def make_senses(n: int) -> NDArray[Any]:
+def make_senses(n: int) -> Records:
     """Records (n,) of `SENSES` for robots before their first step."""
     senses = np.zeros(n, SENSES)
     senses["age"] = -1

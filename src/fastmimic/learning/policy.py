@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, fingerprint
+from fastmimic.base.arrays import Array, Indices, Records, fingerprint
 from fastmimic.base.configuration import changed
 from fastmimic.base.errors import ConfigError, PolicyError, naming
 from fastmimic.base.files import from_json, read_arrays, replace_file
@@ -43,7 +43,7 @@ _PLAIN: Final = {"robot": str, "motion": str, "samples": int, "activation": str,
 class Network(NamedTuple):
     """A policy in the kernels' format."""
 
-    sizes: NDArray[np.int64]  # (layers + 1,) widths, the observation's first
+    sizes: Indices  # (layers + 1,) widths, the observation's first
     parameters: Array  # all weights (inputs, outputs) and biases in sequence
     activation: int  # index into `ACTIVATIONS`, of all layers but the last
     mean: Array  # (observation,) of the normalisation
@@ -79,10 +79,8 @@ class Policy:
         if self.mean.shape != (sizes[0],) or self.deviation.shape != (sizes[0],):
             raise PolicyError(f"normalisation of {self.mean.shape} for observations of {sizes[0]} numbers")
         if sizes[0] != OBSERVATION_SIZE or sizes[-1] != ACTION_SIZE:
-            raise PolicyError(
-                f"takes observations of {sizes[0]} numbers and gives {sizes[-1]}; this release's have"
-                f" {OBSERVATION_SIZE} and {ACTION_SIZE}"
-            )
+            said = f"takes observations of {sizes[0]} numbers and gives {sizes[-1]}"
+            raise PolicyError(f"{said}; this release's have {OBSERVATION_SIZE} and {ACTION_SIZE}")
         arrays = (*self.weights, *self.biases, self.mean, self.deviation)
         if not all(np.isfinite(a).all() for a in arrays) or not (self.deviation > 0).all():
             raise PolicyError("has weights that are not finite, or a deviation that is not positive")
@@ -117,15 +115,11 @@ class Policy:
         if self.robot != robot.name:
             raise PolicyError(f"the policy is for robot '{self.robot}', not for '{robot.name}'; train one for it")
         if self.motion != motion.name:
-            raise PolicyError(
-                f"the policy imitates '{self.motion}', not '{motion.name}'; a policy can do the motion that it was"
-                " trained on only"
-            )
+            said = f"the policy imitates '{self.motion}', not '{motion.name}'"
+            raise PolicyError(f"{said}; a policy can do the motion that it was trained on only")
         if self.samples != motion.n_samples:
-            raise PolicyError(
-                f"the policy imitates a '{self.motion}' of {self.samples} samples, and this one has"
-                f" {motion.n_samples}: it was retargeted otherwise"
-            )
+            said = f"the policy imitates a '{self.motion}' of {self.samples} samples"
+            raise PolicyError(f"{said}, and this one has {motion.n_samples}: it was retargeted otherwise")
 
     def save(self, path: str | Path) -> None:
         """Writes the file atomically; raises `OutputError` if it cannot."""
@@ -144,10 +138,8 @@ class Policy:
         if "meta_json" not in arrays or "weight0" not in arrays:
             raise PolicyError(f"{path}: an .npz without 'meta_json' and 'weight0'; not a FastMimic policy")
         try:
-            if int(arrays["format_version"]) != FORMAT_VERSION:
-                raise PolicyError(
-                    f"format version {arrays['format_version']}; this release reads version {FORMAT_VERSION}"
-                )
+            if int(version := arrays["format_version"]) != FORMAT_VERSION:
+                raise PolicyError(f"format version {version}; this release reads version {FORMAT_VERSION}")
             return cls._of(arrays)
         except KeyError as error:
             raise PolicyError(f"{path}: {error} is missing") from None
@@ -230,10 +222,8 @@ class PolicyController:
         """Raises `PolicyError` if the policy is for another robot, another motion, or another control rate."""
         policy.check(robot, motion)
         if abs(policy.config.control_rate_hz - config.rate_hz) > 1e-9:
-            raise PolicyError(
-                f"the policy's joint targets go out at {policy.config.control_rate_hz:g} Hz, and the loop runs at"
-                f" {config.rate_hz:g} Hz"
-            )
+            said = f"the policy's joint targets go out at {policy.config.control_rate_hz:g} Hz"
+            raise PolicyError(f"{said}, and the loop runs at {config.rate_hz:g} Hz")
         self.config = config  # the model-based controller's, for the loop's rate and the contact thresholds
         self.tables = stack_tables([motion], robot)  # (1 or n, t) of `SAMPLE`, the reference motions
         self.memory = np.zeros(n, MEMORY)  # leg states of the gait planner
@@ -246,12 +236,12 @@ class PolicyController:
         self._seen = np.zeros((n, OBSERVATION_SIZE), np.float32)
         self._action = np.zeros((n, ACTION_SIZE))
 
-    def reset(self, sample: NDArray[np.int64]) -> None:
+    def reset(self, sample: Indices) -> None:
         """Clears the memory; leg states become those of the reference motion at `sample` (n,)."""
         begin_legs(self.memory, self.tables, sample)
         self._senses[...] = make_senses(len(self._senses))
 
-    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+    def step(self, observation: Records, clocks: Records) -> Records:
         """The next control step's commands, (n,), overwritten by the next call; from (n,) of `OBSERVATION`, `CLOCK`."""
         plan_legs(self._config, self.tables, clocks, observation, self.memory)
         if not 0 <= self._senses["age"][0] < self._settings["decimation"][0]:  # of all robots, which begin together

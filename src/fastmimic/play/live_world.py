@@ -8,9 +8,8 @@ from enum import Enum
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GROUND_FRICTION
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
@@ -107,7 +106,7 @@ class GettingUp:
     def begin(self) -> None:
         self.phase, self._time, self._tries = GettingUpPhase.LIMP, 0.0, 0
 
-    def step(self, observation: NDArray[Any]) -> NDArray[Any]:
+    def step(self, observation: Records) -> Records:
         """Commands (1,) of `COMMAND` for the next control step, from an observation (1,)."""
         ground, command = self._simulation.ground, self.command
         obs = (observation if ground is None else ground.seen(observation))[0]

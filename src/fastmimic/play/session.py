@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Records
 from fastmimic.base.errors import ConfigError, did_you_mean
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, rotate_planar, yaw_from_quat
 from fastmimic.clips.synthesis import GAITS
@@ -51,9 +50,9 @@ class Snapshot:
     reference: Array  # (19,) of what it is scored against
     force: Array  # (4, 3) the ground's on each foot, world, N
     asked: Array  # (4, 3) as commanded
-    wanted: NDArray[np.bool_]  # (4,) by the schedule
-    measured: NDArray[np.bool_]  # (4,) loaded feet
-    stance: NDArray[np.bool_]  # (4,) of the gait planner
+    wanted: Flags  # (4,) by the schedule
+    measured: Flags  # (4,) loaded feet
+    stance: Flags  # (4,) of the gait planner
     terms: Array  # (k,) the reward's in this step, 0 while the robot gets up
     reward: float  # of this step
     velocity_b: Array  # (3,) of the base, heading frame, m/s
@@ -140,7 +139,7 @@ class LiveSession:
             raise ConfigError(f"steering takes a controller at {GAIT_RATE_HZ:g} Hz, not at {self.rate_hz:g} Hz")
         sensors = self.conditions.observe == "sensors"
         self._observer = Observer(robot, 1, self.rate_hz, self.conditions) if sensors else None
-        self._seen: NDArray[Any] = simulation.observation
+        self._seen: Records = simulation.observation
         self.world = LiveWorld(self.simulation)
         self.reference: LiveReference | Steered = (
             LiveReference(robot, motions, self.rate_hz, start) if gaits is None else Steered(gaits)
@@ -325,7 +324,7 @@ class LiveSession:
         self.reference.advance(self._seen["root_pos"][0, :2], float(self.controller.memory["haste"][0]))
         self._score(observation)
 
-    def _score(self, observation: NDArray[Any]) -> None:
+    def _score(self, observation: Records) -> None:
         self.reference.fill(self._truth, scored=True)
         self._clock["origin"] = self.reference.place["pose"]
         if self._observer is not None:  # the reference is where the robot is by its sensors

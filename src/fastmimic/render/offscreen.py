@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+_Rgb = tuple[float, float, float]  # 0 to 1
 _Text = tuple[str, ImageFont.FreeTypeFont, tuple[int, int, int, int]]  # with its colour
 _LOG = logging.getLogger(__name__)
 _OFF: Final = ("disable", "disabled", "off", "false", "0")
@@ -125,7 +126,7 @@ class Overlay:
         width: int,
         height: int,
         panels: Sequence[tuple[str, str]],
-        legend: tuple[tuple[float, float, float], str] | None,
+        legend: tuple[_Rgb, str] | None,
         speed_note: str,
         *,
         columns: int,
@@ -204,9 +205,7 @@ def _clock_plate(text: str, unit: float) -> Image.Image:
     return _plate([(text, _font(round(18 * unit)), _WHITE)], round(8 * unit), unit)
 
 
-def _plate(
-    lines: Sequence[_Text], pad: int, unit: float, sample: tuple[float, float, float] | None = None
-) -> Image.Image:
+def _plate(lines: Sequence[_Text], pad: int, unit: float, sample: _Rgb | None = None) -> Image.Image:
     """A dark rounded plate with lines of text, and at their left a sample of a colour."""
     gap, side = round(5 * unit), round(16 * unit)
     left = 0 if sample is None else side + pad

@@ -1,17 +1,18 @@
-"""Tracks: poses of robots and animals over time for videos, made from logs, motions and clips."""
+"""Tracks: poses of robots and animals over time for videos, made from logs, motions and clips; what a panel shows."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
+import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base import rotations
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.export import at_samples
 from fastmimic.motion.motion import Motion
+from fastmimic.render.video_scene import CameraView, flatten, start_shadow
 from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.retarget import choose_scale
 from fastmimic.retargeting.track import extract
@@ -21,11 +22,11 @@ from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from fastmimic.episode.rollout import Rollout
-    from fastmimic.render.video_scene import CameraView
 
 _TRAIL_S: Final = 0.45
 _TRAIL_PIECES: Final = 14
 _TRAIL_STEP: Final = 0.002  # m; shorter pieces are not drawn, as the foot stands
+_BONE_RGBA: Final = (0.66, 0.47, 0.30, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +38,10 @@ class Shown:
     robot: Array | None = None  # (n, 19) poses; None for no robot
     ghost: Array | None = None  # the same of its demonstration
     feet: Array | None = None  # (n, p, 4, 3) now and at the p - 1 moments before that a trail joins; None: no marks
-    contact: NDArray[np.bool_] | None = None  # (n, 4) loaded feet
+    contact: Flags | None = None  # (n, 4) loaded feet
     terrain: Terrain | None = None
 
-    def mark(self, view: "CameraView", frame: int, width: float) -> None:
+    def mark(self, view: CameraView, frame: int, width: float) -> None:
         """Draws the trails of the feet, `width` pixels wide, and discs under loaded feet."""
         if self.feet is None:
             return
@@ -60,7 +61,7 @@ class Track:
     title: str = ""  # first line of the panel, such as "before"
     caption: str = ""  # second line, such as "reward 0.84"
     ghost: Array | None = None  # (t, 19) the demonstration, drawn as a translucent robot; None for no ghost
-    contact: NDArray[np.bool_] | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
+    contact: Flags | None = None  # (t, 4) bool, feet marked as loaded; None for no marks
     terrain: Terrain | None = None  # None for flat ground
 
     def __post_init__(self) -> None:
@@ -121,7 +122,7 @@ def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode:
     return Track(poses_of(robot), title, caption, poses_of(ghost), contact, log.terrain)
 
 
-def poses_of(states: NDArray[Any]) -> Array:
+def poses_of(states: Records) -> Array:
     """(t, 19) root position, quaternion and joints of states (t,)."""
     return np.hstack([states["root_pos"], states["root_quat"], states["joint_pos"]])
 
@@ -168,8 +169,56 @@ class Animal:
         points[..., 2] -= self._ground
         return points
 
-    def at(self, points: Array, sample: NDArray[np.int64] | int) -> Array:
+    def at(self, points: Array, sample: Indices | int) -> Array:
         """Such points (t, k, 3) at samples (n,) of the demonstration, or at one: (n, k, 3) or (k, 3)."""
         course = np.concatenate([points, points[:1]]) if self._periodic else points
         last = self._samples if self._periodic else max(self._samples - 1, 1)
         return interpolated(course, np.asarray(sample) / last * (len(course) - 1))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ShownAnimal(Shown):
+    """What the panel of an animal shows: its bones."""
+
+    bones: Array  # (n, b, 2, 3) their ends, world, m
+    radii: tuple[float, ...]  # (b,) m
+
+    def mark(self, view: CameraView, frame: int, width: float) -> None:
+        """Draws the bones as capsules, with their shadows."""
+        kind, zero = mujoco.mjtGeom.mjGEOM_CAPSULE, np.zeros(3)
+        for (start, end), radius in zip(self.bones[frame], self.radii, strict=True):
+            geom = view.add(kind, zero, zero, _BONE_RGBA)
+            mujoco.mjv_connector(geom, kind, radius, start, end)
+            geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC  # decoration has no shadow in the depth map
+            if not view.video_scene.quality.shadow_map:
+                shadow = view.add(kind, zero, zero, _BONE_RGBA)
+                start_shadow(geom, shadow)
+                flatten(geom, shadow)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AnimalTrack(Track):
+    """What an animal does: points and the bones between them."""
+
+    points: Array  # (t, k, 3) world, m
+    bones: tuple[tuple[int, int], ...]  # numbers of the points that each joins
+    radii: tuple[float, ...]  # of the bones, m
+
+    @classmethod
+    def of(
+        cls, clip: Clip, robot: Robot, motion: Motion, seconds: float, title: str = "", caption: str = ""
+    ) -> "AnimalTrack":
+        """The first `seconds` of a clip's animal, at the robot's size, on the path and at the rate of `motion`."""
+        animal, path = Animal(clip, robot, motion), motion_track(motion.target, seconds).pose
+        points = animal.at(animal.local(clip.drawn_w), np.arange(len(path)) % motion.target.n_samples)
+        heading = rotations.yaw_from_quat(path[:, 3:7])[:, None]
+        points[..., :2] = path[:, None, :2] + rotations.rotate_planar(heading, points[..., :2])
+        radii = tuple(animal.scale * radius for radius in clip.skeleton.radii)
+        return cls(path, title, caption, points=points, bones=clip.skeleton.bones, radii=radii)
+
+    def shown(self, robot: Robot, rate_hz: float, times: Array, *, marks: bool) -> Shown:
+        """What it shows in frames at `times` (n,) s."""
+        points = interpolated(self.points, rate_hz * times)
+        middle = (points.min(axis=1) + points.max(axis=1)) / 2
+        heading = float(np.arctan2(*(middle[-1] - middle[0])[1::-1]))  # of its travel
+        return ShownAnimal(middle, heading, bones=points[:, np.array(self.bones)], radii=self.radii)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.render.encoding import PREVIEW, Quality
 from fastmimic.render.figure_style import DEMONSTRATION, LEG_LINES
 from fastmimic.robot import Robot
@@ -68,9 +68,9 @@ class VideoScene:
     """A model with the robot and perhaps its ghost, and their coordinates in `qpos`."""
 
     model: mujoco.MjModel
-    robot_qpos: NDArray[np.int64]  # (19,) of the robot's root position, quaternion and joints in the common order
-    ghost_qpos: NDArray[np.int64] | None  # (19,) those of the ghost; None without one
-    casts_shadow: NDArray[np.bool_]  # (ngeom,) geoms with a shadow: the robot's main ones
+    robot_qpos: Indices  # (19,) of the robot's root position, quaternion and joints in the common order
+    ghost_qpos: Indices | None  # (19,) those of the ghost; None without one
+    casts_shadow: Flags  # (ngeom,) geoms with a shadow: the robot's main ones
     quality: Quality = PREVIEW
     tiles: tuple[int, ...] = ()  # geoms of the ground's pattern, which follow the camera; none with a texture
     tile: float = TILE_M  # edge of a tile, m
@@ -134,7 +134,7 @@ def _bare_robot(robot: Robot) -> mujoco.MjSpec:
     return spec
 
 
-def _find(model: mujoco.MjModel, robot: Robot, prefix: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _find(model: mujoco.MjModel, robot: Robot, prefix: str) -> tuple[Indices, Flags]:
     """Indices in `qpos` (19,) and a mask of the geoms (ngeom,) of the copy of the robot with this prefix."""
     joints = [model.joint(prefix + name).id for name in robot.joint_names]
     root = model.body_rootid[model.jnt_bodyid[joints[0]]]
@@ -147,18 +147,18 @@ def _find(model: mujoco.MjModel, robot: Robot, prefix: str) -> tuple[NDArray[np.
     return qpos, geoms
 
 
-def _main_geoms(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _main_geoms(model: mujoco.MjModel, geoms: Flags) -> Flags:
     """A robot's geoms shown in its ghost and shadow: the visible colliding ones, or all visible ones if none."""
     seen = _seen(model, geoms)
     solid = seen & _solid(model)
     return solid if solid.any() else seen
 
 
-def _seen(model: mujoco.MjModel, geoms: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _seen(model: mujoco.MjModel, geoms: Flags) -> Flags:
     return geoms & (model.geom_group <= 2) & (model.geom_rgba[:, 3] > 0)
 
 
-def _solid(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def _solid(model: mujoco.MjModel) -> Flags:
     return np.asarray((model.geom_contype != 0) | (model.geom_conaffinity != 0))
 
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullL
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, stretches
 from fastmimic.base.conventions import GROUND_FRICTION, JOINTS_PER_LEG, LEGS
 from fastmimic.base.files import packaged
 from fastmimic.base.rotations import roll_pitch_from_quat
@@ -29,9 +29,8 @@ from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import History
 from fastmimic.render import figure_style as style
-from fastmimic.render.animal import AnimalTrack
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, LEG_LINES, LIMIT, MUTED, STANCE
-from fastmimic.render.tracks import Track, rollout_track
+from fastmimic.render.tracks import AnimalTrack, Track, rollout_track
 from fastmimic.render.video import render_video
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONVERGENCE, TRACKING, VIDEO, RunFolder
@@ -98,7 +97,7 @@ def tracking_figure(
     wanted: Array,
     before: Array,
     after: Array,
-    stance: NDArray[np.bool_],
+    stance: Flags,
     title: str = "Foot tracking",
     *,
     window_s: tuple[float, float] | None = None,
@@ -133,7 +132,7 @@ def tracking_figure(
     return figure
 
 
-def _same_span(row: NDArray[np.object_], drawn: list[Array], shown: NDArray[np.bool_]) -> None:
+def _same_span(row: NDArray[np.object_], drawn: list[Array], shown: Flags) -> None:
     """Gives the four panels one scale, each centred on its own leg."""
     values = np.concatenate([feet[shown] for feet in drawn])
     low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
@@ -266,7 +265,7 @@ def _draw_use(axes: Axes, motion: Motion, robot: Robot) -> None:
     axes.legend(loc="upper right", ncols=4, fontsize=8, frameon=False)
 
 
-def _draw_gait(axes: Axes, time: Array, dt: float, contact: NDArray[np.bool_]) -> None:
+def _draw_gait(axes: Axes, time: Array, dt: float, contact: Flags) -> None:
     """One row per leg, FR at the top: a bar while the foot is in stance."""
     rows = range(len(LEGS))[::-1]
     for leg, row in enumerate(rows):

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json
-from fastmimic.deploy.log import LOG
-from fastmimic.deploy.log import RESULT as DEPLOYMENT
+from fastmimic.deploy.log import LOG, RESULT
 from fastmimic.learning.policy import POLICY_FILE
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
 
@@ -25,23 +24,19 @@ def kind_of(folder: str | Path) -> str:
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
-    if (path / DEPLOYMENT).is_file() or (path / LOG).is_file():
+    if (path / RESULT).is_file() or (path / LOG).is_file():
         return "deployment"
     if (path / ENVIRONMENT).is_file():
         return "results" if "experiment" in read_json(path / ENVIRONMENT) else "comparison"
     if not path.is_dir():
         raise ConfigError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; give the folder of a run")
     if (path / POLICY_FILE).is_file():
-        raise ConfigError(
-            f"{path}: a policy of 'train' has no report; 'fastmimic evaluate MOTION --policy {path / POLICY_FILE}'"
-            " scores it"
-        )
+        scores = f"'fastmimic evaluate MOTION --policy {path / POLICY_FILE}' scores it"
+        raise ConfigError(f"{path}: a policy of 'train' has no report; {scores}")
     if (path / CONFIG).is_file():
         raise ConfigError(f"{path}: the run is not finished ({METRICS} is missing); 'imitate --resume' may finish it")
-    raise ConfigError(
-        f"{path}: not the folder of a run: neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress"
-        f" and transfer nor {DEPLOYMENT} of deploy"
-    )
+    files = f"neither {METRICS} of imitate and stitch nor {ENVIRONMENT} of compare, stress and transfer"
+    raise ConfigError(f"{path}: not the folder of a run: {files} nor {RESULT} of deploy")
 
 
 def require_libraries() -> None:

@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.files import read_json
 from fastmimic.deploy.account import robot_of, summary_rows, with_result
@@ -42,9 +41,8 @@ def deployment_page(path: Path) -> HtmlReport:
         arguments = draw.said_arguments(about.get("arguments", {}))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
-    return render(
-        "deployment.html", sections, title=title, missing=missing, about=about, summary=summary, arguments=arguments
-    )
+    shown: dict[str, Any] = {"about": about, "summary": summary, "arguments": arguments}
+    return render("deployment.html", sections, title=title, missing=missing, **shown)
 
 
 def _sections(log: DeploymentLog, result: dict[str, Any]) -> draw.Sections:
@@ -94,7 +92,7 @@ def _periods(time: Array, span: tuple[float, float], log: DeploymentLog) -> Figu
     return Figure("periods", f"Periods{said if len(found) else ''}", [periods, age], 2)
 
 
-def _histograms(rows: NDArray[Any]) -> Figure:
+def _histograms(rows: Records) -> Figure:
     following = rows[rows["phase"] == DeploymentPhase.FOLLOW]
     plots, said = [], []
     for title, name, values in (

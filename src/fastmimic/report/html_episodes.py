@@ -5,9 +5,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, stretches
 from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION, JOINTS_PER_LEG, LEGS
 from fastmimic.episode.metrics import swing_clearance
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
@@ -59,7 +58,7 @@ def _paths(e: "RerunEpisodes") -> list[tuple[Array, Key]]:
     return [*realised, (e.log.demonstration["foot_pos"][0], DEMONSTRATION)]
 
 
-def _shown(e: "RerunEpisodes") -> NDArray[np.bool_]:
+def _shown(e: "RerunEpisodes") -> Flags:
     start, end = e.first_window
     return (e.times >= start) & (e.times <= end)
 

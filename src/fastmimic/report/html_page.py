@@ -17,10 +17,9 @@ import jinja2
 import numpy as np
 from markdown_it import MarkdownIt
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from fastmimic import __version__
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, stretches
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.files import packaged, write_text
 from fastmimic.base.machine import optional
@@ -68,8 +67,7 @@ class Figure:
         return _HINTS[self.about or self.name].format(**self.told)
 
 
-Sections = Mapping[str, Sequence[Figure]]
-"""The figures of a page by section."""
+Sections = Mapping[str, Sequence[Figure]]  # the figures of a page by section
 BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")
 ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
@@ -153,7 +151,7 @@ def time_plot(
     return Plot(title, data, layout_of("time (s)", y, height, span, yrange, shapes=list(shapes)), note)
 
 
-def shades(time: Array, stance: NDArray[np.bool_]) -> list[dict[str, Any]]:
+def shades(time: Array, stance: Flags) -> list[dict[str, Any]]:
     ends = np.append(time, time[-1])
     style = {"fillcolor": STANCE.color, "line": {"width": 0}, "layer": "below"}
     return [_upright("rect", float(ends[a]), float(ends[b]), style) for a, b in stretches(stance)]

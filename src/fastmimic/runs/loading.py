@@ -74,9 +74,8 @@ class MotionSource:
         if self.motion is None:
             return self.retarget(robot, **given)[0]
         if given:
-            raise ConfigError(
-                f"{', '.join(sorted(given))} cannot be applied to '{self.motion.name}': it is already a robot motion"
-            )
+            said = f"{', '.join(sorted(given))} cannot be applied to '{self.motion.name}'"
+            raise ConfigError(f"{said}: it is already a robot motion")
         self.motion.check_robot(robot.name)
         return self.motion
 

@@ -67,13 +67,11 @@ class WorkFolder:
                 raise OutputError(f"{path} holds no {what.split()[-1]} to resume; leave out --resume to start one")
             return
         if not (resume or overwrite):
-            raise OutputError(
-                f"{path} holds {what}; --resume goes on with it, --overwrite replaces it, or choose another --out"
-            )
+            ways = "--resume goes on with it, --overwrite replaces it, or choose another --out"
+            raise OutputError(f"{path} holds {what}; {ways}")
         if resume and (old := differences(same, earlier)):
-            raise OutputError(
-                f"{path} holds {what} of other settings ({old}); --resume it with these, or choose another --out"
-            )
+            said = f"{path} holds {what} of other settings ({old})"
+            raise OutputError(f"{said}; --resume it with these, or choose another --out")
 
     def clear(self) -> None:
         """Removes the work's files, and subfolders that are empty afterwards; raises `OutputError`."""
@@ -136,19 +134,15 @@ class RunFolder:
         found = [name for name in (*RESULTS, CONFIG, CHECKPOINT) if (self.path / name).exists()]
         arguments = WorkFolder(self.path, "a run", CONFIG, "arguments", ()).earlier()
         if found and arguments is None:
-            raise OutputError(
-                f"{self.path} holds {', '.join(found)} of something else; choose another --out, or --overwrite them"
-            )
+            said = f"{self.path} holds {', '.join(found)} of something else"
+            raise OutputError(f"{said}; choose another --out, or --overwrite them")
         if arguments is not None and (old := differences(same, arguments)):
-            raise OutputError(
-                f"{self.path} holds another run ({old}); choose another --out, or --overwrite it,"
-                " or --resume it with its own arguments"
-            )
+            ways = "choose another --out, or --overwrite it, or --resume it with its own arguments"
+            raise OutputError(f"{self.path} holds another run ({old}); {ways}")
         interrupted = not self.finished or bool(read_json(self.path / METRICS).get("interrupted"))
         if self.checkpoints and interrupted:
-            raise OutputError(
-                f"{self.path} holds this run, unfinished; go on with it by --resume, or start it anew by --overwrite"
-            )
+            ways = "go on with it by --resume, or start it anew by --overwrite"
+            raise OutputError(f"{self.path} holds this run, unfinished; {ways}")
 
 
 @contextmanager

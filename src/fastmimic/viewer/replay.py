@@ -4,8 +4,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Indices
 from fastmimic.base.errors import DeploymentError
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
@@ -92,7 +92,7 @@ def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
     return _scored(take, at, log, config)
 
 
-def _scored(take: Take, at: NDArray[np.int64], log: DeploymentLog, config: ControllerConfig) -> Take:
+def _scored(take: Take, at: Indices, log: DeploymentLog, config: ControllerConfig) -> Take:
     """The take with the reference and the reward, where the motion was reached; row i is row at[i] of the log."""
     score = score_log(take.robot, log, config, log.truth)
     if score is None:

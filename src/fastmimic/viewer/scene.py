@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     import viser
     from trimesh import Trimesh
 
-LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])
-"""Names and labels."""
+LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])  # names and labels
 WIDE_GROUND: Final = (24.0, 24.0)
 _CELL_M: Final = 0.25
 _TERRAIN_RGB: Final = (205, 210, 215)

@@ -10,9 +10,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.clips.clip import KEYPOINTS
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from fastmimic.control.config import ControllerConfig
     from fastmimic.episode.rollout import Rollout
 
-Flags = NDArray[np.bool_]
 
 TRAIL_S: Final = 1.0
 _SMOOTHED_S: Final = 0.35
@@ -46,8 +44,8 @@ class Take:
     rate_hz: float  # rows a second
     pose: Array  # (t, 19) the robot's root position (world, m), quaternion and joints (rad); finite
     wanted: Flags  # (t, 4) whether the contact schedule wants the foot on the ground
-    samples: NDArray[np.int64]  # (t,) of the demonstration
-    cycle_starts: NDArray[np.int64]  # (k,) first rows of the cycles, ascending from 0
+    samples: Indices  # (t,) of the demonstration
+    cycle_starts: Indices  # (k,) first rows of the cycles, ascending from 0
     reference: Array | None  # (t, 19) pose of the demonstration
     caption: str = ""  # such as "reward 0.84"
     measured: Flags | None = None  # (t, 4) whether the foot is loaded, above the gait planner's threshold
@@ -137,7 +135,7 @@ def motion_take(motion: Motion, robot: Robot, duration_s: float, title: str = ""
     return Take(robot, title, motion.rate_hz, pose, wanted, samples, starts, reference, caption="no physics")
 
 
-def demonstration_samples(demonstration: Motion, joint_pos: Array) -> NDArray[np.int64]:
+def demonstration_samples(demonstration: Motion, joint_pos: Array) -> Indices:
     """Samples (t,) of the demonstration in an episode, from the joints (t, 12) of row 0; the first of equal cycles."""
     found = np.flatnonzero((demonstration.joint_pos == joint_pos[0]).all(axis=1))
     samples = (int(found[0]) if len(found) else 0) + np.arange(len(joint_pos), dtype=np.int64)
@@ -145,7 +143,7 @@ def demonstration_samples(demonstration: Motion, joint_pos: Array) -> NDArray[np
     return samples % n if demonstration.cycle is not None else np.minimum(samples, n - 1)
 
 
-def cycle_rows(demonstration: Motion, samples: NDArray[np.int64]) -> NDArray[np.int64]:
+def cycle_rows(demonstration: Motion, samples: Indices) -> Indices:
     """Rows (k,) at which a cycle starts, the first one 0, from the sample (t,) of each row."""
     begins = np.isin(samples, demonstration.cycle_starts) & (np.diff(samples, prepend=-1) != 0)
     return np.unique(np.concatenate([[0], np.flatnonzero(begins)])).astype(np.int64)
@@ -175,7 +173,7 @@ def contact_places(take: Take, row: int) -> Array:
     return np.column_stack([feet[:, :2], take.ground(feet) + _GROUND_Z])
 
 
-def contact_flags(take: Take, row: int) -> dict[str, NDArray[np.bool_]]:
+def contact_flags(take: Take, row: int) -> dict[str, Flags]:
     """Visible marks (4,) by name; none if unknown."""
     known = {"wanted": take.wanted, "measured": take.measured, "stance": take.stance}
     return {kind: np.zeros(4, np.bool_) if flags is None else flags[row] for kind, flags in known.items()}

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import optional
 from fastmimic.robot import Robot
@@ -86,9 +85,8 @@ def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: fl
     if aspect < _PORTRAIT:
         height -= 0.45 * half * distance  # the lower half is the controls'
     look_at = np.array([-np.sin(yaw) * middle, np.cos(yaw) * middle, height])
-    arm = distance * np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    level = np.cos(elevation)
+    arm = distance * np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
     return look_at + arm, look_at
 
 
@@ -215,7 +213,7 @@ class Player:
 
     rows: int
     rate_hz: float  # rows a second of real time
-    cycle_starts: NDArray[np.int64]  # first rows of the cycles, ascending from 0
+    cycle_starts: Indices  # first rows of the cycles, ascending from 0
     playing: bool = True
     speed: float = 1.0  # times real time, positive
     repeat: Repeat = "all"
@@ -337,7 +335,7 @@ class Viewer(WebPage):
             self.draw()
 
 
-def _longest(takes: Sequence["Take"]) -> tuple[int, float, NDArray[np.int64]]:
+def _longest(takes: Sequence["Take"]) -> tuple[int, float, Indices]:
     """Rows, rate and cycle starts of the longest take."""
     longest = max(takes, key=lambda take: take.rows)
     return longest.rows, longest.rate_hz, longest.cycle_starts

@@ -32,8 +32,7 @@ _SO_ATTACH_FILTER: Final = 26  # asm-generic/socket.h
 _TEXTS: Final = 16  # queued messages of a `TextReader`
 
 SampleInfo: Final = structure("dds_sample_info_t")
-Matched: Final = structure("dds_publication_matched_status_t")
-"""Also dds_subscription_matched_status_t."""
+Matched: Final = structure("dds_publication_matched_status_t")  # also dds_subscription_matched_status_t
 _Endpoint: Final = structure("dds_builtintopic_endpoint_t")
 
 

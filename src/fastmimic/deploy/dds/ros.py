@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import matrix_from_quat
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
@@ -134,7 +133,7 @@ class CommandTopic(ReceivedCommands):
         self._participant.close()
 
     def received(self) -> list[Array]:
-        samples: NDArray[Any] = self._reader.samples[: self._reader.take()]
+        samples: Records = self._reader.samples[: self._reader.take()]
         sent = samples[self._reader.valid[: len(samples)]]
         found = np.column_stack([sent["linear"]["x"], sent["linear"]["y"], sent["angular"]["z"]])
         return list(found[np.isfinite(found).all(axis=1)])

@@ -4,8 +4,8 @@ import time
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, Reader, Writer
 from fastmimic.deploy.driver import Packets, RobotDriver, StateMessage, implausible_joint
@@ -81,7 +81,7 @@ class Go2Driver(RobotDriver):
     def _wait(self, most_s: float) -> None:
         self._reader.wait(most_s)
 
-    def _send(self, command: NDArray[Any]) -> bool:
+    def _send(self, command: Records) -> bool:
         self._command.write(command)
         return self._writer.write()
 

@@ -1,55 +1,117 @@
-"""`fastmimic robot-sim` simulates a robot that speaks a real robot's protocol."""
+"""Live simulated robots: `fastmimic play` in the browser, `robot-sim` with a real robot's protocol."""
 
 import json
 import math
 import signal
 import threading
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing, nullcontext
-from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from tyro.conf import OmitArgPrefixes
+from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.progress import note, slow_start
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_CUT_OFF, on_signal, put
+from fastmimic.commands.pictures import serve
 from fastmimic.commands.show import is_whole
+from fastmimic.control.config import ControllerConfig, controller_config
 from fastmimic.deploy.dds.cyclone import check_interface
 from fastmimic.deploy.log import ENDING, ground_truth_writer
 from fastmimic.robot import ROBOT_NAMES, load_robot
-from fastmimic.simulation.conditions import parse_disturbance
+from fastmimic.runs.loading import find_motion
+from fastmimic.simulation.conditions import Conditions, parse_disturbance
 from fastmimic.simulation.config import ideal_sensors
 
 SIMULATED: Final = ("go2",)
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
+class Play:
+    """Simulates a robot under the controller live in the browser. Switch motions or steer, push the robot, change
+    friction and payload, by mouse, keyboard or gamepad. A robot that falls gets up again.
+
+    The server answers this machine's browsers only, at the whole address that it prints; Ctrl-C ends it.
+    """
+
+    motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
+    robot: opt.RobotChoice = None
+    port: opt.Port = 8080
+    method: Annotated[str, opt.shared("NAME", "first method")] = "mbc"
+    config: opt.ConfigName = "default"
+    observe: opt.Observation = "truth"
+    disturb: opt.Disturbances = ()
+    seed: int = 0
+    ideal: opt.Ideal = False
+    terrain: opt.TerrainName = None
+    steered: Annotated[opt.SteeredBy, OmitArgPrefixes]
+
+    def run(self) -> None:
+        from fastmimic.viewer.viewer import free_port, require_viser
+
+        require_viser()
+        free_port(self.port)  # before the motions are loaded
+        from fastmimic.play.page import PlayPage
+        from fastmimic.play.session import DEFAULTS, LiveSession, check_method, load_motions
+        from fastmimic.reference.motion_set import MotionSet, warm_up
+
+        check_method(self.method)
+        config = controller_config(self.config)
+        conditions = opt.apply(Conditions, self, disturbances=opt.joined(self.disturb))
+        self.steered.check(self.motions == (opt.STEER,))
+        if self.motions == (opt.STEER,):
+            return self._steered(config, conditions)
+        sources = [find_motion(source) for source in self.motions or DEFAULTS]
+        name = opt.robot_name(self.robot, *sources)
+        robot = load_robot(name)
+        # transitions take about a second each: another process makes them, so that the simulation keeps real time
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+            with on_signal(signal.SIG_IGN, signal.SIGINT):  # it ignores Ctrl-C from its first moment on: we handle it
+                executor.submit(warm_up, name)  # while this process loads
+            with slow_start():
+                motions = load_motions(sources, robot)
+                library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
+                session = LiveSession(robot, library, method=self.method, config=config, conditions=conditions)
+            try:
+                with PlayPage(session, f"{robot.name}, live", self.port) as page:
+                    serve(page, ", ".join(library.names), self.port)
+            finally:
+                # waits: the interpreter's own exit does not close the pool safely
+                executor.shutdown(cancel_futures=True)
+
+    def _steered(self, config: ControllerConfig, conditions: Conditions) -> None:
+        from fastmimic.play.page import PlayPage
+        from fastmimic.play.session import LiveSession
+
+        with self.steered.opened() as commands:
+            gaits = self.steered.gaits(self.robot)
+            with slow_start():
+                session = LiveSession(
+                    gaits.robot, {}, method=self.method, config=config, conditions=conditions, gaits=gaits
+                )
+            with PlayPage(session, f"{gaits.robot.name}, steered", self.port, commands) as page:
+                serve(page, " and ".join(self.steered.gait) or opt.STEER, self.port)
+
+
+@opt.command
 class FaultOptions:
     """Faults of the connection and of the robot."""
 
     loss: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the states that are lost."""
     corrupt: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the states that arrive with a flipped bit."""
     duplicate: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the states that arrive twice."""
     reorder: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the states that arrive after the next one."""
     latency_ms: Annotated[float, opt.option("MS")] = 0.0
-    """Additional latency of the states."""
     command_loss: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the commands that are lost."""
     command_corrupt: Annotated[float, opt.option("SHARE")] = 0.0
-    """Share of the commands that arrive with a flipped bit."""
     command_latency_ms: Annotated[float, opt.option("MS")] = 0.0
-    """Additional latency of the commands."""
     dead_after: opt.Seconds = None
-    """Time after which the robot falls silent, as if its computer had died. Default: never."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@opt.command
 class RobotSim:
     """Simulates a Go2 that speaks the real DDS protocol: it runs in MuJoCo in real time, publishes its state and obeys
     low-level commands. 'fastmimic deploy' and Unitree's own SDK talk to it.
@@ -58,25 +120,15 @@ class RobotSim:
     """
 
     robot: Annotated[str, opt.option("NAME|FILE")] = "go2"
-    """go2, or your own robot's MJCF file for a body that uses the Go2's messages."""
     interface: Annotated[str, opt.option("NAME")] = "lo"
-    """Network interface."""
     domain: Annotated[int, opt.option("N")] = 0
-    """DDS domain."""
     start: Annotated[str, opt.option("lying|standing")] = "lying"
-    """Initial state: lying with limp motors, or standing under its own motion service, which ignores low-level commands
-    until it is released."""
     sensors: Annotated[str, opt.option("real|ideal")] = "real"
-    """Sensors with or without noise, bias and latency."""
     seed: int = 0
-    """Seed of the sensor noise and the faults."""
     disturb: opt.Disturbances = ()
     watchdog_ms: Annotated[float, opt.option("MS")] = 20.0
-    """Time without a command after which the motors damp."""
     duration: opt.Seconds = None
-    """Time until it ends. Default: it runs until Ctrl-C."""
     log: Annotated[Path | None, opt.option("FILE.mcap")] = None
-    """File for the ground truth of what the robot did."""
     json: opt.JsonFlag = False
     fault: Annotated[FaultOptions, OmitArgPrefixes]
 
