@@ -189,7 +189,7 @@ def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits)
 
     def wanted() -> list[float]:
-        return [round(float(value), 2) for value in session.reference.place["wanted"][0]]
+        return [round(float(value), 2) for value in session.reference._asked]
 
     with served(session, 8755) as live:
         page = browser.new_page(viewport={"width": 700, "height": 520})
@@ -199,13 +199,13 @@ def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
         page.get_by_role("button", name="Stop", exact=True).wait_for(timeout=1e3 * PATIENCE_S)
         until(lambda: picture(page).std() > 12.0, page)
         page.mouse.click(300, 250)
-        for key, there in (("ArrowUp", [1.0, 0.0, 0.0]), ("KeyA", [0.0, 0.0, 2.0]), ("KeyE", [0.0, -0.4, 0.0])):
+        for key, there in (("ArrowUp", [2.0, 0.0, 0.0]), ("KeyA", [0.0, 0.0, 2.0]), ("KeyE", [0.0, -0.4, 0.0])):
             page.keyboard.down(key)
             until(lambda there=there: wanted() == there, page)  # type: ignore[misc]
             page.keyboard.up(key)
             until(lambda: wanted() == [0.0, 0.0, 0.0], page)
         page.evaluate("window.pad.axes = [0.8, -1.0, 0.0, 0.0]")
-        until(lambda: wanted() == [1.0, 0.0, -1.5], page)
+        until(lambda: wanted() == [1.5, 0.0, -0.9], page)
         began = session.observation["root_pos"][:2].copy()
         until(lambda: float(np.hypot(*(session.observation["root_pos"][:2] - began))) > 0.3, page)
         page.evaluate("window.pad.axes = [0.0, 0.0, 0.0, 0.0]")
