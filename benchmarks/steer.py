@@ -1,10 +1,10 @@
 """Steers robots by random velocities, with sensors: on flat ground, with pushes, and on rough ground.
 
-    python benchmarks/steer.py --json steer.json
+    python benchmarks/steer.py [a1 go2] [--minutes 30] [--forwards 1.5] [--gait CLIP …] [--json steer.json]
 
 Each episode lasts 30 s from standing in the middle of the ground, or until the robot is 25 m away. Velocities of 0 to
-1.5 m/s forwards, ± 0.4 m/s sideways and ± 2 rad/s are wanted for 1 to 4 s each; pushes have a random direction and come
-every 10 s. A robot that falls gets up and goes on.
+`--forwards` m/s forwards, ± 0.4 m/s sideways and ± 2 rad/s are wanted for 1 to 4 s each; pushes have a random direction
+and come every 10 s. A robot that falls gets up and goes on.
 """
 
 import argparse
