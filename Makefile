@@ -1,5 +1,5 @@
 # make demo   from nothing to a gallop in runs/demo; its video: the animal, the robot without the method, and with it
-# make test   the tests, on all cores; PYTEST_ARGS="-x tests/control" runs some of them
+# make test   the quick tests, on all cores; PYTEST_ARGS="-x tests/control" runs some of them, --slow the slow ones too
 # make test-skipped   installs all extras and runs what make test skipped
 # make docs   the documentation site in build/site
 # The virtual environment is made in .venv when it is first needed.

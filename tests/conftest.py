@@ -16,6 +16,7 @@ from fastmimic.steering.gait_field import GaitField, Grid, gait_field
 
 SKIPPED = "fastmimic/skipped"
 """Where the cache keeps the tests and files that the last run skipped."""
+SLOW = "slow: whole programs, browsers, robots on a wire, long searches"
 
 
 gc.set_threshold(50_000, 20, 100)  # to look through all that is imported as often as usual takes a tenth of the time
@@ -57,6 +58,7 @@ def gaits() -> GaitField:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="run the slow tests, too")
     parser.addoption("--skipped", action="store_true", help="run the tests that the last run skipped, and no others")
 
 
@@ -74,6 +76,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if not config.getoption("--slow") and not config.getoption("--skipped"):
+        for item in items:
+            if item.get_closest_marker("slow") is not None:
+                item.add_marker(pytest.mark.skip(reason=SLOW))
     if config.getoption("--skipped") and config.cache:
         wanted = set(config.cache.get(SKIPPED, []))
         items[:] = [item for item in items if item.nodeid in wanted or item.nodeid.split("::")[0] in wanted]

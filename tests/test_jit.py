@@ -51,6 +51,7 @@ def run(folder: Path) -> tuple[float, int]:
     return float(output[0]), int(output[1])
 
 
+@pytest.mark.slow
 def test_a_cached_kernel_is_compiled_anew_when_a_function_that_it_calls_changes(tmp_path: Path) -> None:
     """Over two files and not its own: after an update, old and new code must never run mixed."""
     for name, text in (("callee", CALLEE.format(number=2)), ("caller", CALLER), ("top", TOP)):
@@ -80,6 +81,7 @@ print(top(Pair(1.0, 2.0)), sum(top.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_a_cached_kernel_whose_argument_has_moved_is_compiled_anew(tmp_path: Path) -> None:
     """Its index on disk names a module that an update removed."""
     (tmp_path / "old.py").write_text(PAIR)

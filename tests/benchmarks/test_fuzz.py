@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 PROGRAM = Path(__file__).parents[2] / "benchmarks" / "fuzz.py"
 
 
+@pytest.mark.slow
 def test_what_is_planted_is_found() -> None:
     command = [sys.executable, str(PROGRAM), "--planted", "--hang", "2", "--inputs", "5", "--seed", "4"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
@@ -59,6 +60,7 @@ VALID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VALID)
 def test_a_file_is_changed_the_same_way_again(name: str) -> None:
     sources = [random.Random(i).randbytes(4096) for i in range(30)]
@@ -88,6 +90,7 @@ def test_numbers_are_changed_in_place_or_cut_off(kind: str) -> None:
     assert all(array.shape[1:] == (3,) for array in found)
 
 
+@pytest.mark.slow
 def test_some_archives_are_bombs() -> None:
     with zipfile.ZipFile(BytesIO(fuzz_files._bomb("x"))) as archive:
         member = archive.getinfo("x.npy")

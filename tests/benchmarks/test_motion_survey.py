@@ -32,6 +32,7 @@ def test_built_in_gaits_are_tracked(rows: list[Surveyed]) -> None:
     assert summary(rows) == "tracked: 2 of 2; of those that take steps: 2 of 2"
 
 
+@pytest.mark.slow
 def test_a_gait_beyond_the_robot_is_not_tracked_and_says_why(robot: Robot) -> None:
     weak = replace(robot, torque_limit=0.05 * robot.torque_limit)
     row = survey(generate("pace"), weak, duration_s=1.0, episodes=2)
@@ -58,6 +59,7 @@ def test_the_table_has_a_line_for_each_motion(rows: list[Surveyed]) -> None:
     assert summary([rows[0], fallen]).startswith("tracked: 1 of 2; of those that take steps: 1 of 2")
 
 
+@pytest.mark.slow
 def test_random_cycles_follow_from_the_seed(data_folder: Path) -> None:
     first, second = (random_cycles(3, np.random.default_rng(5), data_folder) for _ in range(2))
     other = random_cycles(3, np.random.default_rng(6), data_folder)

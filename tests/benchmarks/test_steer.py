@@ -24,6 +24,7 @@ def script(time_s: float) -> np.ndarray:
     return np.array([velocity for at, velocity in SCRIPT if at <= time_s][-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("observe", ["truth", "sensors"])
 def test_a_robot_follows_a_script(gaits: GaitField, observe: str) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits, conditions=Conditions(observe=observe))
@@ -42,6 +43,7 @@ def test_a_robot_follows_a_script(gaits: GaitField, observe: str) -> None:
     assert session.reference.state == "standing"
 
 
+@pytest.mark.slow
 def test_a_robot_that_falls_gets_up_and_goes_on(gaits: GaitField) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits)
     session.steer((0.5, 0.0, 0.0))
@@ -56,6 +58,7 @@ def test_a_robot_that_falls_gets_up_and_goes_on(gaits: GaitField) -> None:
     assert float(session.observation["root_pos"][0]) > before + 0.5
 
 
+@pytest.mark.slow
 def test_what_no_steered_robot_does(gaits: GaitField) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits)
     assert session.steered
@@ -91,6 +94,7 @@ def test_only_a_steered_robot_listens(capsys: pytest.CaptureFixture[str]) -> Non
     assert "--udp steers a robot; give 'steer'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_evaluate_steers_by_a_script(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, gaits: GaitField, monkeypatch: pytest.MonkeyPatch
 ) -> None:

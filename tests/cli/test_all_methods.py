@@ -50,6 +50,7 @@ def run(request: pytest.FixtureRequest, finished: Path, tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_its_run_can_be_reported(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("plotly", reason="the extra 'report' is not installed")
     assert cli.main(["report", str(run)]) == 0

@@ -57,6 +57,7 @@ def test_writes_tables_and_figures(run: Run, in_folder: Path) -> None:
     assert {"fastmimic", "mujoco", "python"} <= set(environment["versions"])
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_ends_with_the_same_rows(run: Run, start: Start, in_folder: Path) -> None:
     arguments = ("compare", "--motions", "trot", "--methods", "mbc", "mbc-dmp", *LONGER, "--workers", "1", "--out")
     assert run(*arguments, "whole").status == 0
@@ -73,6 +74,7 @@ def test_killed_and_resumed_it_ends_with_the_same_rows(run: Run, start: Start, i
     assert rows(in_folder / "run") == rows(in_folder / "whole")
 
 
+@pytest.mark.slow
 def test_ctrl_c_stops_all_processes_and_says_how_to_go_on(start: Start, in_folder: Path) -> None:
     process = start(
         *("compare", "--motions", "trot", "--methods", "mbc", "mbc-dmp", "--seeds", "2", "--iterations", "500"),
@@ -96,6 +98,7 @@ def test_ctrl_c_stops_all_processes_and_says_how_to_go_on(start: Start, in_folde
     assert {path.name for path in (in_folder / "run").glob("*.png")} == {"comparison.png"}
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_leaves_tables_of_the_others(run: Run, in_folder: Path) -> None:
     arguments = ("compare", "--motions", "trot", "--methods", "mbc", "mbc-dmp", *TINY, "--workers", "1")
     checkpoint = in_folder / "runs" / "comparison" / "runs" / "trot-mbc-dmp-seed0" / "checkpoint.npz"
@@ -196,6 +199,7 @@ def test_another_motion_of_the_same_name_is_refused_before_anything_is_written(r
     assert contents(in_folder / "run") == before
 
 
+@pytest.mark.slow
 def test_resumed_with_less_the_results_cover_what_was_finished(run: Run, in_folder: Path) -> None:
     command = ("compare", *TINY, "--workers", "1", "--out", "run")
     assert run(*command, "--motions", "trot", "--methods", "mbc", "mbc-dmp").status == 0

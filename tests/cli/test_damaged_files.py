@@ -121,6 +121,7 @@ FILES: dict[str, tuple[Callable[[Path], str], str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FILES)
 def test_one_line(kind: str, run: Run, in_folder: Path) -> None:
     make, command, said = FILES[kind]

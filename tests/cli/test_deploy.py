@@ -39,6 +39,7 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, out.getvalue()
 
 
+@pytest.mark.slow
 def test_it_prints_the_figures_and_writes_the_folder(run: Run, in_folder: Path) -> None:
     done = run("deploy", "stand", *QUICK)
     assert done.status == 0
@@ -57,6 +58,7 @@ def test_it_prints_the_figures_and_writes_the_folder(run: Run, in_folder: Path) 
     assert "runs/deploy-stand-a1-sim-2/log.mcap" in again.out
 
 
+@pytest.mark.slow
 def test_json_is_one_object_on_stdout(run: Run) -> None:
     done = run("deploy", "stand", *QUICK, "--json", "--out", "there", "--log", "elsewhere.mcap")
     found = json.loads(done.out)
@@ -98,6 +100,7 @@ def test_its_log_can_be_evaluated(run: Run, in_folder: Path, deployed: Path) -> 
     assert "drop --episodes" in run("evaluate", "there/log.mcap", "--episodes", "2").error
 
 
+@pytest.mark.slow
 def test_a_violation_has_a_status_and_a_line_of_its_own(run: Run) -> None:
     done = run("deploy", "stand", *QUICK, "--limit", "height_least=0.999", "--out", "there")
     assert done.status == 3
@@ -108,6 +111,7 @@ def test_a_violation_has_a_status_and_a_line_of_its_own(run: Run) -> None:
     assert json.loads(Path("there/deployment.json").read_text())["result"]["stopped_by"] == "height"
 
 
+@pytest.mark.slow
 def test_a_dry_run_shows_the_commands(run: Run) -> None:
     done = run("deploy", "stand", *QUICK, "--dry-run", "--out", "there")
     assert done.status == 0

@@ -10,6 +10,7 @@ from cli.running import Run
 DEPLOY = ("deploy", "trot", "--driver", "sim", "--lock-step", "--duration", "1.2")
 
 
+@pytest.mark.slow
 def test_from_a_deployment_to_the_controller(run: Run, in_folder: Path) -> None:
     for folder, more in (("loaded", ("--disturb", "payload=4")), ("empty", ())):
         done = run(*DEPLOY, *more, "--out", folder)
@@ -26,6 +27,7 @@ def test_from_a_deployment_to_the_controller(run: Run, in_folder: Path) -> None:
     assert "is for robot 'a1', not 'go1'" in run("evaluate", "trot", "--robot", "go1", "--config", "mine.json").error
 
 
+@pytest.mark.slow
 def test_one_line_for_what_cannot_be_done(run: Run, in_folder: Path) -> None:
     assert "none.mcap: no such file" in run("identify", "none.mcap").error
     (in_folder / "half.mcap").write_bytes(b"PK")

@@ -158,6 +158,7 @@ def test_an_optimised_motion_is_optimised_anew_against_its_demonstration(run: Ru
     np.testing.assert_array_equal(one["demonstration_joint_pos"], other["demonstration_joint_pos"])
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_does_not_change_a_bit(run: Run, first: tuple[Path, Outcome], in_folder: Path) -> None:
     for workers in (1, 3):
         run("imitate", "trot", *TINY, "--workers", workers, "--out", f"with-{workers}")
@@ -225,6 +226,7 @@ def test_files_of_an_earlier_run_do_not_stay_behind(run: Run, copy: Path) -> Non
     }
 
 
+@pytest.mark.slow
 def test_more_iterations_go_on_from_a_finished_run(run: Run, copy: Path) -> None:
     """The search itself does not depend on how many iterations were planned."""
     run("imitate", "trot", *TINY, "--iterations", "6", "--out", "run", "--resume")
@@ -257,6 +259,7 @@ def test_a_damaged_checkpoint_is_refused(run: Run, copy: Path) -> None:
 LONGER = ("--iterations", "16", "--population", "4", "--duration", "0.6", "--no-video")
 
 
+@pytest.mark.slow
 def test_the_last_of_the_name_resumed_after_kill_9_gives_the_same_bits(
     run: Run, start: Start, first: tuple[Path, Outcome], in_folder: Path
 ) -> None:
@@ -275,6 +278,7 @@ def test_the_last_of_the_name_resumed_after_kill_9_gives_the_same_bits(
     assert_same_run(killed, in_folder / "whole")
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_usable_result(run: Run, start: Start, in_folder: Path) -> None:
     endless = ("--iterations", "100000", "--population", "4", "--duration", "0.6", "--no-video")
     process = start("imitate", "trot", *endless, "--out", "stopped")
@@ -308,6 +312,7 @@ def test_ctrl_c_before_there_is_anything_leaves_nothing(
     assert list(in_folder.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Start, in_folder: Path) -> None:
     terminal, end = os.openpty()
     process = start("imitate", "trot", *TINY, stderr=end)

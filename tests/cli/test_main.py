@@ -62,6 +62,7 @@ def test_importing_the_package_and_help_load_nothing_heavy() -> None:
     assert not loaded & {*HEAVY, "tyro", "rich"}
 
 
+@pytest.mark.slow
 def test_a_verbs_help_loads_nothing_heavy() -> None:
     code = f"from fastmimic.cli import main\nfor verb in {list(cli.VERBS)}: assert main([verb, '--help']) == 0"
     loaded = modules_after(code)

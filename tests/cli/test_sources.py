@@ -42,6 +42,7 @@ def folder(optimised: Motion, in_folder: Path) -> str:
     return "run"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_verb_takes_a_folder(verb: str, folder: str, run: Run) -> None:
     done = run(verb, folder, *VERBS[verb])

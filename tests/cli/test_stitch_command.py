@@ -80,11 +80,13 @@ def test_metrics_tell_of_each_segment(first: tuple[Path, Outcome]) -> None:
     assert found["parameters"][8]["name"] == "2:turn/FR_foot_z.goal"
 
 
+@pytest.mark.slow
 def test_the_same_at_any_number_of_workers(first: tuple[Path, Outcome], run: Run) -> None:
     assert run("stitch", "trot", "turn", *TINY, "--workers", "3", "--out", "again").status == 0
     assert_same_run(first[0], Path("again"))
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_it_is_the_same(
     first: tuple[Path, Outcome], start: Callable[..., "subprocess.Popen[str]"], run: Run
 ) -> None:

@@ -110,6 +110,7 @@ class TestStress:
 
 
 class TestTransfer:
+    @pytest.mark.slow
     def test_writes_a_table_and_a_figure_and_keeps_what_is_done(self, run: Run, in_folder: Path) -> None:
         pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'fastmimic[pybullet]'")
         tiny = ("--trials", "2", "--duration", "0.4", "--iterations", "1", "--population", "4")

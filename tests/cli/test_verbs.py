@@ -133,6 +133,7 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
     assert meta["retarget"]["before"]["period_s"] == pytest.approx(32 / 50)
 
 
+@pytest.mark.slow
 def test_inspect_says_what_a_clip_is(run: Run, in_folder: Path) -> None:
     (in_folder / "clip.dat").write_text(keypoint_text(12))
     done = run("inspect", "clip.dat")

@@ -78,6 +78,7 @@ class Problem:
         return x
 
 
+@pytest.mark.slow
 @pytest.mark.nojit
 @pytest.mark.parametrize(
     ("problem", "expected"),

@@ -48,6 +48,7 @@ def test_an_undisturbed_robot_keeps_the_motions_time(robot: Robot) -> None:
     assert most == 0.0
 
 
+@pytest.mark.slow
 def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
     up, most = pushed(robot, ControllerConfig(), 1.4)
     fallen, none = pushed(robot, in_own_time(), 1.4)

@@ -159,6 +159,7 @@ def test_a_build_looks_through_no_source_that_is_as_it_was(
     assert again(confidence=0.4, update=True) == ["pace", "torn", "trot"]
 
 
+@pytest.mark.slow
 def test_what_is_gone_from_a_folder_leaves_the_index(clips: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(clips, tmp_path / "clips").resolve()
 
@@ -451,6 +452,7 @@ def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, mo
     assert build_dataset(of("trot", "pace"), tmp_path, HERE).done == 1  # what failed is tried again
 
 
+@pytest.mark.slow
 def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
     take = data_folder / "dog_keypoints" / "dog_walk09_joint_pos.txt"
     building = BuildRequest(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.85)
@@ -525,6 +527,7 @@ def test_a_rerun_notices_another_reward(mine: Path) -> None:
     assert record["id"] in differing[0]
 
 
+@pytest.mark.slow
 def test_processes_make_the_same(built: Path, tmp_path: Path) -> None:
     done = build_dataset(of("trot", "pace"), tmp_path, make_executor("local", workers=2))
     assert {row["name"]: row["status"] for row in done.rows} == {"trot": "done", "pace": "done"}

@@ -210,6 +210,7 @@ def test_whether_there_is_a_second_simulator_is_the_same_for_all_robots() -> Non
     assert (second.knows("a1"), second.knows("go2"), SIMULATORS[FIRST_SIMULATOR].knows("go2")) == (True, False, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_interrupted_and_gone_on(
     workers: str, library: Path, start: Callable[..., subprocess.Popen[str]], run: Run, in_folder: Path
@@ -234,6 +235,7 @@ def test_interrupted_and_gone_on(
         assert all(rows[row["name"]] == reproducible(row) for row in MotionDataset.open(library).index())
 
 
+@pytest.mark.slow
 def test_two_builders_in_one_folder(
     library: Path, start: Callable[..., subprocess.Popen[str]], in_folder: Path
 ) -> None:

@@ -28,6 +28,7 @@ def test_many_build_and_one_mends(tmp_path: Path) -> None:
                 pass
 
 
+@pytest.mark.slow
 def test_who_was_killed_is_not_waited_for(tmp_path: Path) -> None:
     text = "import os, sys; from pathlib import Path; from fastmimic.dataset.folder import working\n"
     text += "with working(Path(sys.argv[1]), alone=False): os._exit(9)"
@@ -36,6 +37,7 @@ def test_who_was_killed_is_not_waited_for(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_mending_beside_a_build_is_refused_and_removes_nothing(
     start: Callable[..., subprocess.Popen[str]], run: Run, in_folder: Path
 ) -> None:

@@ -74,12 +74,14 @@ def test_the_reward_is_that_of_the_closed_loop_with_sensors(trotted: tuple[Rig, 
     assert done.result["reward_mean"] == pytest.approx(done.result["reward_truth_mean"], abs=0.05)
 
 
+@pytest.mark.slow
 def test_lock_step_is_the_same_every_time(a1: Robot, standstill: MotionSequence) -> None:
     first, second = Rig(a1, standstill).run(), Rig(a1, standstill).run()
     assert first.log.rows.tobytes() == second.log.rows.tobytes()
     assert first.result == second.result
 
 
+@pytest.mark.slow
 def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> None:
     trotting.put_in(SimDriver(a1, trotting.clock, faults=LinkFaults(latency_s=0.004, loss=0.05)))
     done = trotting.run(duration_s=3.0)
@@ -102,6 +104,7 @@ def test_what_is_wrong_with_messages_is_counted_and_not_used(stands: Rig, a1: Ro
     assert np.isfinite(done.log.rows["reading"]["joint_pos"]).all()
 
 
+@pytest.mark.slow
 def test_a_person_has_it_sit_down(trotting: Rig) -> None:
     def press(machine: object) -> None:
         trotting.switch.leave = True
@@ -160,6 +163,7 @@ def test_the_reference_goes_on_where_one_part_ends_and_the_next_begins(way: Moti
     assert (rows["contact"][-500:] == 1).all()
 
 
+@pytest.mark.slow
 def test_a_stitched_motion_is_done_once(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [2, 2])
     way = make_sequence(a1, stitched, ControllerConfig())
@@ -187,6 +191,7 @@ def test_haste_passes_no_end_of_a_part(way: MotionSequence) -> None:
             assert follower.steps <= way.motion.n_samples
 
 
+@pytest.mark.slow
 def test_a_passage_is_entered_and_left_within_its_strides(a1: Robot, trot: Motion) -> None:
     stitched = stitch_motions(a1, [trot, load_motion("turn", a1)], [3, 3])
     passage = dataclasses.replace(stitched, parts=())
@@ -223,6 +228,7 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
             score_log(a1, dataclasses.replace(again, rows=rows), ControllerConfig())
 
 
+@pytest.mark.slow
 def test_a_run_is_scored_with_its_own_contact_threshold(trotting: Rig) -> None:
     usual = ControllerConfig()
     config = dataclasses.replace(usual, gait=dataclasses.replace(usual.gait, contact_threshold=1.2))
@@ -335,6 +341,7 @@ def test_a_link_says_what_it_cannot_be() -> None:
     assert dataclasses.replace(LinkFaults(), latency_s=0.01).perfect
 
 
+@pytest.mark.slow
 def test_without_foot_sensors_it_stands_up_trots_and_sits(trotting: Rig, a1: Robot) -> None:
     dead = Conditions(observe="sensors", disturbances=("foot-force-scale=0",))  # type: ignore[arg-type]  # a text
     trotting.put_in(SimDriver(a1, trotting.clock, conditions=dead))

@@ -311,6 +311,7 @@ def test_a_log_that_was_cut_off_is_scored_by_its_rows(stands: Rig, tmp_path: Pat
     }
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_killed_at_once_it_has_lost_less_than_a_second(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     patient = ("--limit", "stale_s=2", "--limit", "overrun_s=2", "--limit", "lean=0")

@@ -26,7 +26,7 @@ from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.log import GROUND_TRUTH, ROBOT_SIM, load_ground_truth
 from fastmimic.deploy.log_file import LogFile
 
-pytestmark = pytest.mark.real_time
+pytestmark = [pytest.mark.real_time, pytest.mark.slow]
 
 PATIENT = ("--limit", "stale_s=2", "--limit", "overrun_s=2")
 NO_LEAN = ("--limit", "lean=0")

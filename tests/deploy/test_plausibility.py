@@ -81,6 +81,7 @@ BEFORE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BEFORE)
 def test_a_sensor_that_is_wrong_from_the_beginning(case: str, stands: Rig) -> None:
     tamper, reason, text = BEFORE[case]
@@ -106,6 +107,7 @@ def stepping(machine: StateMachine) -> bool:
     return machine.in_motion and machine.follower.steps > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", WHILE)
 def test_a_sensor_that_fails_while_the_robot_trots(case: str, trotting: Rig) -> None:
     """The robot is crouched before it falls: it stands upright until then, and its trunk lands softly."""
@@ -137,6 +139,7 @@ def test_a_reading_that_is_late_is_not_a_sensor_that_stands_still() -> None:
         assert any(found) == (elapsed_s > 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("disturbance", ["side-push=8@9", "payload=5", "friction=0.3"])
 def test_a_robot_that_has_a_hard_time_is_not_doubted(disturbance: str, trotting: Rig, a1: Robot) -> None:
     conditions = Conditions(observe="sensors", disturbances=(disturbance,))

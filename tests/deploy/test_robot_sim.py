@@ -288,6 +288,7 @@ def process(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
         process.communicate()
 
 
+@pytest.mark.slow
 def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
     go2: Robot, process: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
@@ -323,6 +324,7 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
     assert account["duration_s"] == pytest.approx(truth["time_s"][-1], abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_leaves_what_it_really_did(
     process: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:

@@ -426,6 +426,7 @@ def test_the_simulated_robot_counts_what_it_is_sent(a1: Robot) -> None:
         assert sim.packets.sent == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", ["damp", "sit", "ignore"])
 def test_another_program_that_commands_the_motors_while_it_trots(trotting: Rig, limit: str) -> None:
     def hear(machine: object) -> None:

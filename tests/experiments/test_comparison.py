@@ -119,6 +119,7 @@ class TestPlan:
             replace(PLAN, **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 class TestRows:
     def test_there_is_one_for_each_run_in_order(self, rows: list[Row]) -> None:
         assert [(r["method"], r["variant"], r["seed"]) for r in rows] == [
@@ -207,6 +208,7 @@ class TestRows:
         assert reported[-1][0] == 1.0
 
 
+@pytest.mark.slow
 class TestKept:
     def test_progress_only_grows(self, done: tuple[Path, list[Row], list[tuple[float, Row | None]]]) -> None:
         shares = [share for share, _ in done[2]]
@@ -283,6 +285,7 @@ class TestKept:
             assert row["reward_mean_perturbed"] == pytest.approx(found.reward[1:].mean())
 
 
+@pytest.mark.slow
 class TestFolder:
     def test_everything_is_written(self, out: Path) -> None:
         figures = {"comparison.png", "tracking.png", "ablations.png"}
@@ -338,6 +341,7 @@ class TestFolder:
         assert "Unfinished" not in (copy / "table.md").read_text()
 
 
+@pytest.mark.slow
 class TestTables:
     def test_means_and_deviations_over_the_seeds(self, rows: list[Row]) -> None:
         found = {(s.method, s.variant): s for s in summaries(rows)}

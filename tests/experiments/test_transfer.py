@@ -69,6 +69,7 @@ class TestTrials:
 
 
 class TestIdentified:
+    @pytest.mark.slow
     def test_the_controller_is_told_what_another_run_says(
         self, rows: list[dict[str, Any]], subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
     ) -> None:

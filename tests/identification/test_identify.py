@@ -57,6 +57,7 @@ class TestFriction:
         assert found.stance_friction(config) == pytest.approx(FRICTION_MARGIN * found.friction.value)
         assert identify(make_log(1.5), robot).stance_friction(config) == config.stance.friction
 
+    @pytest.mark.slow
     def test_of_a_simulated_floor(self, data_folder: Path, robot: Robot) -> None:
         found = [self._on_a_floor(robot, 0.4, seed).value for seed in range(3)]  # one alone scatters by 0.05
         assert np.median([value for value in found if value is not None]) == pytest.approx(0.4, abs=0.08)

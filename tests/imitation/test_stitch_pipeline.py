@@ -53,6 +53,7 @@ def optimised(robot: Robot) -> Motion:
     return dmp.motion(dmp.goal, amplitude)
 
 
+@pytest.mark.slow
 def test_motions_are_optimised_by_themselves_unless_they_are_already(
     walk: Motion, optimised: Motion, robot: Robot, tmp_path: Path
 ) -> None:
@@ -75,6 +76,7 @@ def test_motions_are_optimised_by_themselves_unless_they_are_already(
     assert lift.mean() > 1.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["mbc", "raibert"])
 def test_without_an_optimisation_optimised_motions_keep_their_parameters(
     walk: Motion, optimised: Motion, robot: Robot, method: str
@@ -134,6 +136,7 @@ class TestResume:
         result = fm.stitch([walk, walk], robot, cycles=3, folder=run, resume=True, **FEW)
         assert 6000.0 < result.wall_s < 7000.0
 
+    @pytest.mark.slow
     def test_more_iterations_of_the_whole_do_not_change_where_it_begins(
         self, walk: Motion, robot: Robot, run: Path
     ) -> None:
@@ -161,6 +164,7 @@ class TestResume:
         if "checkpoint" in message:
             assert str(caught.value).startswith(str(run)), "the file that was given, not a copy"
 
+    @pytest.mark.slow
     def test_a_run_begun_anew_leaves_nothing_of_the_old_one_to_resume(
         self, walk: Motion, robot: Robot, run: Path
     ) -> None:

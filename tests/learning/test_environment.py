@@ -16,6 +16,7 @@ from fastmimic.learning.environment import ImitationEnv, ImitationVectorEnv  # n
 ENVIRONMENT = "fastmimic/Imitation-v0"
 
 
+@pytest.mark.slow
 def test_it_is_registered_and_passes_gymnasiums_checks() -> None:
     from gymnasium.utils.env_checker import check_env
 

@@ -9,6 +9,7 @@ pytest.importorskip("gymnasium")
 MAKE = "gymnasium.make('{}', motion='trot').spec.id"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "program",
     [

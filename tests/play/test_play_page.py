@@ -36,6 +36,7 @@ navigator.getGamepads = () => [pad];
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -76,6 +77,7 @@ def test_the_field_of_keys_and_stick_is_read() -> None:
     assert "<script" not in steering_script()  # which a browser would not run
 
 
+@pytest.mark.slow
 def test_the_command_serves_on_loopback_and_ends_at_ctrl_c() -> None:
     pytest.importorskip("viser", reason="the extra 'view' is not installed")
     command = (
@@ -129,6 +131,7 @@ def served(session: LiveSession, port: int) -> Iterator[Any]:
             thread.join()
 
 
+@pytest.mark.slow
 def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     # all of it, since the page may be slower than the two seconds that its history keeps
     rows: list[float] = []  # force that pushes, N
@@ -185,6 +188,7 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         page.close()
 
 
+@pytest.mark.slow
 def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
     session = LiveSession(gaits.robot, {}, gaits=gaits)
 

@@ -84,6 +84,7 @@ def test_left_alone_the_session_is_the_rollout(a1: Robot, trot: Motion, library:
     assert np.mean(rewards) == pytest.approx(float(offline.reward[0]), abs=2e-3)
 
 
+@pytest.mark.slow
 def test_switching_among_all_defaults_does_not_fall(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library)
     assert session.motion == STAND
@@ -210,6 +211,7 @@ def test_the_controller_changes_while_it_runs(a1: Robot, library: MotionSet) -> 
         session.set_method("mcb")
 
 
+@pytest.mark.slow
 def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1: Robot, trot: Motion) -> None:
     dmp = MotionDmp.fit(trot, a1)
     amplitude = dmp.amplitude
@@ -280,6 +282,7 @@ def test_real_time_neither_drifts_nor_catches_up_for_ever(a1: Robot, library: Mo
     assert (pacer.session.steps - before) * pacer.session.dt == pytest.approx(0.1 + MOST_BEHIND_S, abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_dog_is_played(a1: Robot) -> None:
     try:
         motion = load_motion("dog:trot", a1)

@@ -80,6 +80,7 @@ def test_built_in_gaits_are_fitted(name: str, robot: Robot) -> None:
     assert_fits(MotionDmp.fit(motion, robot))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(RECORDED))
 def test_real_clips_are_fitted(name: str, robot: Robot, data_folder: Path) -> None:
     """Among them loops of 6 s with pauses, and a turn of 100° a cycle."""

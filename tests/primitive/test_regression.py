@@ -40,6 +40,7 @@ print(hashlib.sha256(dmp.weights.tobytes() + made.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.slow
 def test_a_fit_has_the_same_bits_whatever_the_number_of_threads() -> None:
     digests = set()
     for threads in ("1", "2"):

@@ -334,6 +334,7 @@ def test_without_opengl_there_is_a_warning_and_no_video(
     assert "v.mp4 was not written: no OpenGL here" in caplog.text
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("opengl")
 def test_no_display_and_mujoco_imported_first_still_draws(tmp_path: Path) -> None:
     """MuJoCo reads MUJOCO_GL when it is imported, long before a video is wanted."""

@@ -213,6 +213,7 @@ def test_a_figure_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
         assert (tmp_path / f"c.{suffix}").read_bytes().startswith(magic)
 
 
+@pytest.mark.slow
 def test_drawing_changes_nothing_global(tmp_path: Path) -> None:
     settings = dict(matplotlib.rcParams)
     written(convergence_figure(history([0.5], [0.4], [0.1], [0.3], 0.4)), tmp_path)

@@ -170,6 +170,7 @@ def test_says_so_if_the_episodes_do_not_come_out_the_same(run: Path) -> None:
     assert 'id="verified"' not in html
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "gone", "stays"),
     [
@@ -510,6 +511,7 @@ _DRAWN = """[...document.querySelectorAll('.plot')].map(p => [p.id, p.querySelec
     p.querySelector('svg').getBoundingClientRect().width, p.getBoundingClientRect().width])"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_browser_draws_it(page: Parsed, finished: Path, chromium: Any, width: int) -> None:
     with Tab(chromium, finished / "report.html", width) as tab:
@@ -526,6 +528,7 @@ def test_a_browser_draws_it(page: Parsed, finished: Path, chromium: Any, width: 
     assert max(there for *_, there in printed) <= 700
 
 
+@pytest.mark.slow
 def test_the_replay_opens_on_demand_and_plays_without_a_network(page: Parsed, finished: Path, chromium: Any) -> None:
     from PIL import Image
 
@@ -551,6 +554,7 @@ def test_the_replay_opens_on_demand_and_plays_without_a_network(page: Parsed, fi
     assert tab.requests == []
 
 
+@pytest.mark.slow
 def test_a_heading_sorts_its_table(compared: Path, chromium: Any) -> None:
     report = make_report(compared)
     report.save(compared / "report.html")

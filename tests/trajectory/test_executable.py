@@ -94,6 +94,7 @@ def test_it_repeats_and_stays_near_the_animal(animal: Motion, turn: Executable) 
     assert np.linalg.norm(last[:2] - following) < 2e-3
 
 
+@pytest.mark.slow
 def test_the_same_problem_has_the_same_solution_bit_for_bit(
     a1: Robot, animal: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,12 +153,14 @@ def test_the_animal_is_saved_with_the_motion(tmp_path: Path, turn: Executable) -
     np.testing.assert_array_equal(target.animal.joint_pos, turn.motion.animal.joint_pos)
 
 
+@pytest.mark.slow
 def test_what_no_motion_keeps_is_refused_with_its_limit(a1: Robot, animal: Motion) -> None:
     weak = replace(a1, torque_limit=0.1 * a1.torque_limit)
     with pytest.raises(MotionError, match=r"no motion of a1 near 'turn' keeps the limits: .* by .* at \d"):
         nearest_executable(weak, animal, TrajectoryConfig(iterations=2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("diverges", [True, False])
 def test_no_margin_helps_where_the_solver_diverges_with_all_and_without(
     a1: Robot, animal: Motion, monkeypatch: pytest.MonkeyPatch, diverges: bool

@@ -135,6 +135,7 @@ def test_what_came_of_running_it_is_kept_for_this_packages_own_check(
     assert len(asked) == 3
 
 
+@pytest.mark.slow
 def test_a_problem_is_solved_once(a1: Robot, pace: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("fastmimic.trajectory.solved._packaged", lambda general: [])  # as if it were not in the package

@@ -21,6 +21,7 @@ def no_solver(*_: object) -> None:
     raise AssertionError("not in the package as it is now: run python benchmarks/keep_solutions.py")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["a1", "go1", "go2"])
 def test_the_package_has_the_built_in_motions(robot: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fastmimic.trajectory.solve.make_solver", no_solver)

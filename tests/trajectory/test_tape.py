@@ -25,6 +25,7 @@ def test_all_nodes_at_once_give_casadis_bits(nodes: int) -> None:
     assert np.array_equal(tape.on_nodes(function, nodes)(x, y), function.map(nodes)(x.T, y.T).full().T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a1", "go2"])
 def test_a_nodes_derivatives_are_casadis(name: str, a1: Robot) -> None:
     functions = node_functions(a1 if name == "a1" else load_robot(name), TrajectoryConfig())

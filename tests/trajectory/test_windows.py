@@ -50,6 +50,7 @@ def test_windows_overlap_and_cover_the_whole(a1: Robot, passage: Motion) -> None
     assert len(windows_of(cycle.modes, cycle.animal_steps, SHORT)) == 1
 
 
+@pytest.mark.slow
 def test_a_long_passage_that_diverges_in_one_piece_is_tried_in_shorter_windows(
     a1: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
