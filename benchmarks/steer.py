@@ -21,7 +21,7 @@ from fastmimic.clips.catalogue import open_clip
 from fastmimic.play.follow import SteeringFigures, follow
 from fastmimic.play.session import LiveSession
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.steering.gait_field import GaitField, gait_field
+from fastmimic.steering.gait_field import GaitField, gait_field, gaits_of
 
 EPISODE_S = 30.0
 FAR_M = 25.0
@@ -39,12 +39,12 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30.0, help="of each case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--forwards", type=float, default=1.5, help="the greatest velocity forwards, m/s")
-    parser.add_argument("--gait", nargs="*", default=[], help="one period of an animal's gaits, the slowest first")
+    parser.add_argument("--gait", nargs="*", default=[], help="one period each of an animal's gaits, or takes")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     rows = []
     for robot in given.robots:
-        gaits = gait_field(robot, [open_clip(gait) for gait in given.gait], workers=None)
+        gaits = gait_field(robot, gaits_of([open_clip(gait) for gait in given.gait]), workers=None)
         for name, case in CASES.items():
             found = run(gaits, 60.0 * given.minutes, given.seed, given.forwards, **case)
             by = {"robot": gaits.robot.name, "gait": ", ".join(given.gait) or "built-in", "forwards": given.forwards}

@@ -173,6 +173,14 @@ def table_of(clip: Clip, *, names: dict[str, str] | None = None, form: str = "{}
     return "\n".join([",".join(header), *(",".join(f"{v:.7f}" for v in row) for row in rows)]) + "\n"
 
 
+def test_a_column_of_quoted_words_may_have_commas(tmp_path: Path) -> None:
+    clip = walk(1)
+    header, *rows = table_of(clip).splitlines()
+    lines = [f'{header},"said, by whom"', *(f'{row},"walks, fast"' for row in rows)]
+    (tmp_path / "points.csv").write_text("\n".join(lines))
+    np.testing.assert_allclose(read_clip(tmp_path / "points.csv").points_w, clip.points_w, atol=1e-6)
+
+
 @pytest.mark.parametrize("form", ["{}_{}", "{}.{}", "{}:{}", "{} {}"])
 def test_a_table_by_name_is_read_with_the_rate_of_its_times(form: str, tmp_path: Path) -> None:
     clip = walk(1)

@@ -115,6 +115,13 @@ def test_tracking_states_the_error_of_each_foot_in_millimetres(tmp_path: Path) -
     written(figure, tmp_path)
 
 
+def test_what_was_not_optimised_has_one_error(tmp_path: Path) -> None:
+    figure = tracking_figure(TIME, feet(), None, feet(0.004), contact())
+    assert figure.axes[0].get_title(loc="left") == "FR z: RMSE 4.0 mm"
+    assert [each.get_label() for each in figure.axes[0].get_lines()] == ["demonstration", "robot"]
+    written(figure, tmp_path)
+
+
 def test_tracking_shades_the_demonstrations_stance() -> None:
     figure = tracking_figure(TIME, feet(), feet(), feet(), contact())
     spans = [patch.get_extents().transformed(figure.axes[0].transData.inverted()) for patch in figure.axes[0].patches]

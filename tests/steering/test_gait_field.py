@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from fastmimic.base.errors import ClipError
+from clips.test_segment import cycles
+from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.clips.clip import Clip
 from fastmimic.clips.synthesis import gait, keypoints
 from fastmimic.reference.course import course_of
 from fastmimic.reference.regulator import motion_gains
@@ -13,8 +15,8 @@ from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import standing
 from fastmimic.reference.table import GAIN_SAMPLES, SAMPLE
 from fastmimic.retargeting.retarget import retarget
-from fastmimic.robot import load_robot
-from fastmimic.steering.gait_field import GaitField, Grid, gait_field
+from fastmimic.robot import Robot, load_robot
+from fastmimic.steering.gait_field import GaitField, Grid, gait_field, gaits_of
 from fastmimic.steering.steered import Steered
 
 
@@ -70,6 +72,38 @@ def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
 def test_a_clip_that_does_not_repeat_is_no_gait() -> None:
     with pytest.raises(ClipError, match=r"jump is not one period of a gait; 'fastmimic segment' finds"):
         gait_field("a1", [open_clip("jump")])
+
+
+def test_takes_give_a_period_of_each_gait_that_repeats_well() -> None:
+    bound, noted = open_clip("bound"), list[str]()
+    found = gaits_of([bound, cycles("trot", 6), cycles("walk", 6)], noted.append)
+    assert found[0] is bound
+    assert [clip.meta["name"] for clip in found[1:]] == ["walk", "trot"]
+    lengths = {clip.meta["name"]: clip.n_frames for clip in found[1:]}
+    assert lengths == {name: open_clip(name).n_frames for name in ("walk", "trot")}
+    assert len(noted) == 2
+    assert " is a period of a trot, " in "".join(noted)
+    still = Clip(np.repeat(bound.points_w[-1:], 120, axis=0), bound.rate_hz)
+    assert gaits_of([still]) == [still]
+
+
+def test_a_fast_gait_that_the_robot_cannot_do_is_left_out(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    too_much = "walk"
+
+    def field(source: str, clip: Clip, robot: Robot, grid: Grid, slower: GaitField | None, *_: object) -> GaitField:
+        if clip.meta["name"] == too_much:
+            raise MotionError(f"{robot.name} cannot be steered by {too_much}")
+        axes = [np.array(axis) for axis in (grid.forwards, grid.sideways, grid.turning)]
+        return GaitField(clip.meta["name"], robot, *axes, np.zeros((1, 1)), np.zeros((1, 1)), slower)
+
+    monkeypatch.setattr("fastmimic.steering.gait_field._field", field)
+    with pytest.raises(MotionError, match="by walk"):
+        gait_field("a1")
+    too_much = "canter"
+    assert [gait.name for gait in gait_field("a1").chain()] == ["trot", "walk"]
+    assert caplog.messages == ["left out: a1 cannot be steered by canter"]
 
 
 def test_a_gait_that_cannot_be_slow_has_passages_at_the_nearest_speeds(gaits: GaitField) -> None:

@@ -261,10 +261,10 @@ class SteeredBy:
 
     def gaits(self, robot: str | None) -> "GaitField":
         """The gaits of a robot, by name or file; says how far it is when they are made."""
-        from fastmimic.steering.gait_field import gait_field, one_period
+        from fastmimic.steering.gait_field import gait_field, gaits_of
 
         name = robot or DEFAULT_ROBOT
-        clips = [one_period(find_motion(gait).open_clip(load_robot(name)), note) for gait in self.gait]
+        clips = gaits_of([find_motion(gait).open_clip(load_robot(name)) for gait in self.gait], note)
         with count_progress("velocities made executable, once for this robot:") as progress:
             return gait_field(name, clips, progress, workers=None)
 

@@ -95,7 +95,7 @@ def _marker(k: Array) -> str:
 def tracking_figure(
     time: Array,
     wanted: Array,
-    before: Array,
+    before: Array | None,
     after: Array,
     stance: Flags,
     title: str = "Foot tracking",
@@ -104,25 +104,27 @@ def tracking_figure(
 ) -> Figure:
     """Height and fore-aft position of the four feet, wanted and realised, (t, 4, 3) foot centres in the body frame, m.
     `wanted` is what the robot is scored against at `time` (t,), s; `before` and `after` are realised with the motion as
-    retargeted and optimised, NaN after a fall. `stance` (t, 4), the demonstration's, is shaded. `window_s` are the
-    times to draw, such as two cycles; the errors in the titles are over all samples."""
+    retargeted, None if that is all there is, and optimised, NaN after a fall. `stance` (t, 4), the demonstration's, is
+    shaded. `window_s` are the times to draw, such as two cycles; the errors in the titles are over all samples."""
     start, end = window_s if window_s is not None else (time[0], time[-1])
     figure = style.new_figure(14.0, 6.2, title, below=0.85)
     grid = figure.subplots(2, 4, sharex=True)
+    lines = [(wanted, DEMONSTRATION, "demonstration"), (after, AFTER, "robot" if before is None else "after")]
+    if before is not None:
+        lines.insert(1, (before, BEFORE, "before"))
     dt = time[1] - time[0] if len(time) > 1 else 0.0
     ends = np.append(time, time[-1] + dt)  # each sample lasts until the next
     for row, axis in enumerate((2, 0)):
-        drawn = [wanted[:, :, axis], before[:, :, axis], after[:, :, axis]]
+        drawn = [feet[:, :, axis] for feet, _, _ in lines]
         for leg, name in enumerate(LEGS):
             axes = grid[row, leg]
             for first, last in stretches(stance[:, leg]):
                 axes.axvspan(ends[first], ends[last], color=STANCE, linewidth=0, zorder=0)
-            styles = zip(drawn, (DEMONSTRATION, BEFORE, AFTER), ("demonstration", "before", "after"), strict=True)
-            for feet, line, label in styles:
+            for feet, (_, line, label) in zip(drawn, lines, strict=True):
                 axes.plot(time, feet[:, leg], **line._asdict(), label=label)
             errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]
-            before_mm, after_mm = (f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
-            style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {before_mm} → {after_mm} mm")
+            said = " → ".join(f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
+            style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {said} mm")
             axes.set_xlim(start, end if end > start else start + 1.0)
         _same_span(grid[row], drawn, (time >= start) & (time <= end))
         grid[row, 0].set_ylabel(f"foot {'xyz'[axis]}, body frame (m)", fontsize=9, color=MUTED)
@@ -153,7 +155,7 @@ def run_figure(result: Imitation) -> Figure:
     log = result.after.course
     time_s = np.arange(1, log.wanted.shape[1] + 1) / log.rate_hz
     wanted, after = foot_courses(result.after, result.robot)
-    _, before = foot_courses(result.before, result.robot)
+    before = None if result.after is result.before else foot_courses(result.before, result.robot)[1]
     window_s = shown_window(result.demonstration, (result.before, result.after))
     return tracking_figure(time_s, wanted, before, after, log.wanted[0], _title(result), window_s=window_s)
 

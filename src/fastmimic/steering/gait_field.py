@@ -11,6 +11,7 @@ transition of stitched motions, solved by optimal control, straight ahead at abo
 """
 
 import dataclasses
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -41,6 +42,7 @@ from fastmimic.trajectory.executable import falls_with, nearest_executable
 from fastmimic.trajectory.solved import Remembered
 
 RATE_HZ: Final = 500.0
+_LOG: Final = logging.getLogger(__name__)
 _BUILT_IN: Final = {
     "walk": dataclasses.replace(GAITS["walk"], half_width=0.04, lift=0.08),
     "trot": dataclasses.replace(GAITS["trot"], speed=0.5, duty=0.55, half_width=0.04, lift=0.09),
@@ -52,6 +54,8 @@ _KEPT: Final = (
     TrajectoryConfig(keep_speed=True),
     TrajectoryConfig(keep_time=True),
 )
+_REPEATS: Final = 0.85  # a period of a take that is a gait, in `Segment.confidence`
+_ABOUT: Final = 1.1  # by how much a gait's own speed may be beyond its grid
 _SAME_CONTACT: Final = 0.97  # share of a gait's contacts that stay
 _SEEN: Final = 0.01  # m/s or rad/s
 _SAME: Final = 1e-6  # between the velocities of a passage, m/s or rad/s: all are the same
@@ -164,7 +168,8 @@ def gait_field(
     velocities of that (the first, if none is), those before it those of `slow` for their own speed, and those after it
     those of `fast`. It is made once and kept in the user's cache folder: in a minute or two for each gait, or in
     seconds where its solutions are in the package, as those of the A1 and the Go2 with the built-in gaits. `progress`
-    is told how many velocities of a gait are done, and of how many. `workers` processes make it, as many as there are
+    is told how many velocities of a gait are done, and of how many. A gait of those after it that the robot cannot do,
+    or not reach, is left out with a warning. `workers` processes make it, as many as there are
     cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there is
     no executable motion near a gait, `ClipError` for a clip that does not repeat."""
     robot = load_robot(source)
@@ -173,29 +178,42 @@ def gait_field(
         if not is_one_cycle(clip):
             name = clip.meta.get("name", "the clip")
             raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
-    size, found = length_ratio(robot), None
+    size, found, before = length_ratio(robot), None, clips[0]
     speeds = [_speed(clip, robot) / size for clip in clips]
-    widest = max((k for k, speed in enumerate(speeds) if speed <= grid.forwards[-1]), default=0)
+    widest = max((k for k, speed in enumerate(speeds) if speed <= _ABOUT * grid.forwards[-1]), default=0)
     for k, (clip, speed) in enumerate(zip(clips, speeds, strict=True)):
         own = grid if k == widest else slow(speed) if k < widest else fast(speed)
-        made = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))
-        if found is not None and own.forwards[0] > 0.0:
-            made = dataclasses.replace(made, passages=_passages(robot, (clips[k - 1], clip), (found, made)))
-        found = made
+        try:
+            made = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))
+            if found is not None and own.forwards[0] > 0.0:
+                made = dataclasses.replace(made, passages=_passages(robot, (before, clip), (found, made)))
+        except MotionError as error:
+            if k <= widest:
+                raise
+            _LOG.warning("left out: %s", error)
+            continue
+        found, before = made, clip
     assert found is not None
     return found
 
 
-def one_period(clip: Clip, note: Callable[[str], None] = lambda line: None) -> Clip:
-    """A clip of one period, or of a take the period that repeats best, which is noted; a clip without one as it is."""
-    cycles = [] if is_one_cycle(clip) else [s for s in find_segments(clip) if s.cycle is not None]
-    if not cycles:
-        return clip
-    best = max(cycles, key=lambda segment: segment.confidence)
-    first, end = best.cycle or (0, 0)
-    name = clip.meta.get("name", "the clip")
-    note(f"the gait is frames {first}:{end} of {name}, a {best.footfall} at {best.speed_m_per_s:.2f} m/s")
-    return dataclasses.replace(clip.cut(first, end), is_cycle=True)
+def gaits_of(clips: Sequence[Clip], note: Callable[[str], None] = lambda line: None) -> list[Clip]:
+    """One period of each gait in the clips. What is one period already is taken as it is; of all the others, takes, the
+    periods that repeat best follow, one of each footfall, the slowest first; each is noted. Where nothing repeats well,
+    the best there is."""
+    found = [clip for clip in clips if is_one_cycle(clip)]
+    takes = [clip for clip in clips if not is_one_cycle(clip)]
+    periods = [(segment, take) for take in takes for segment in find_segments(take) if segment.cycle is not None]
+    periods.sort(key=lambda each: each[0].confidence)
+    best = {segment.footfall: (segment, take) for segment, take in periods}  # the later one of a footfall stays
+    for segment, take in sorted(best.values(), key=lambda each: each[0].speed_m_per_s):
+        if segment.confidence >= min(_REPEATS, periods[-1][0].confidence):
+            first, end = segment.cycle or (0, 0)
+            name = f"{take.meta.get('name', 'the clip')}[{first}:{end}]"
+            note(f"{name} is a period of a {segment.footfall}, {segment.speed_m_per_s:.2f} m/s")
+            cut = dataclasses.replace(take.cut(first, end), is_cycle=True)
+            found.append(dataclasses.replace(cut, meta={**cut.meta, "name": segment.footfall}))
+    return found or takes
 
 
 def _speed(clip: Clip, robot: Robot) -> float:

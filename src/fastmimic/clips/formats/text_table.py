@@ -1,5 +1,6 @@
 """Tables of numbers as text: one frame a line, separated by commas, semicolons or white space."""
 
+import csv
 from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
@@ -50,9 +51,10 @@ def read_table(text: str) -> Table:
 
 
 def _split(line: str) -> list[str]:
-    if "," in line:
-        return line.split(",")
-    return line.split(";") if ";" in line else line.split()
+    separator = next((mark for mark in ",;" if mark in line), None)
+    if '"' in line:
+        return next(csv.reader([line], delimiter=separator or " ", skipinitialspace=True))
+    return line.split(separator)
 
 
 def is_number(field: str) -> bool:
