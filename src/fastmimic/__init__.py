@@ -16,7 +16,7 @@ from typing import Any
 
 from fastmimic.learning import register_when_imported as _register_when_imported
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def _public() -> dict[str, tuple[str, str]]:
