@@ -117,12 +117,20 @@ def test_metrics_hold_all_figures(first: tuple[Path, Outcome]) -> None:
 
 def test_the_table_shows_the_figures_of_the_metrics(first: tuple[Path, Outcome]) -> None:
     printed = first[1].out.splitlines()
-    reward = metrics(first[0])["reward"]
-    assert printed[1].split() == ["before", "after"]
-    animal = metrics(first[0])["reward_animal"]
-    against = ["reward", "against", "the", "animal", f"{animal['before']:.3f}", f"{animal['after']:.3f}"]
-    assert printed[2].split() == against
-    assert printed[3].split() == ["reward", f"{reward['before']:.3f}", f"{reward['after']:.3f}"]
+    found = metrics(first[0])
+    gained = any(p["value"] != p["initial"] for p in found["parameters"])
+    assert printed[1].split() == ["kinematic", "executable", "optimised" if gained else "fitted"]
+    assert ("the search found nothing better: the result is the motion as fitted by DMPs" in printed) is not gained
+    as_it_is = f"{found['kinematic']['reward_mean']:.3f}"
+    for line, name in ((2, "reward_animal"), (3, "reward")):
+        values = [as_it_is, *(f"{found[name][when]:.3f}" for when in ("before", "after"))]
+        assert printed[line].split()[-3:] == values
+
+
+def test_a_motion_that_is_run_once_is_searched_only_when_asked(run: Run, in_folder: Path) -> None:
+    done = run("imitate", "trot", "--discrete", "--no-video")
+    assert "trot is run once, so nothing is searched; --iterations N optimises it" in done.err
+    assert metrics(in_folder / "runs" / "trot-a1-mbc-0")["evaluations"] == 0
 
 
 def test_config_holds_the_arguments_and_the_controller(run: Run, in_folder: Path) -> None:

@@ -81,7 +81,7 @@ class SearchRun:
 @opt.command
 class Imitate(SearchRun):
     """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them in closed-loop
-    simulation.
+    simulation. A motion that is run once is optimised with --iterations only.
 
     Writes motion.npz, metrics.json, config.json, convergence.png, tracking.png and video.mp4. Ctrl-C stops the search
     and keeps the best motion so far.
@@ -105,6 +105,9 @@ class Imitate(SearchRun):
         began = time.perf_counter()
         robot, motion = self.clip.load(self.motion, self.robot)
         loading_s = time.perf_counter() - began
+        if self._is_left_as_it_is(motion, method):
+            method = method_named(method).unoptimised.name
+            note(f"{motion.name} is run once, so nothing is searched; --iterations N optimises it for N iterations")
         about = {"motion": motion.name, "source": motion.provenance.source, "licence": motion.provenance.licence}
         with self.opened(robot, motion.name, method, **about) as (folder, config):
             note_origin(robot, motion)
@@ -128,6 +131,13 @@ class Imitate(SearchRun):
                 raise ConfigError(f"method '{method}' does not search, so --warm-start has no effect; drop it")
             moved_by(Motion.load(self.warm_start))
         return method
+
+    def _is_left_as_it_is(self, motion: Motion, method: str) -> bool:
+        """Whether a motion that is run once is not optimised: a search takes minutes and gains nothing that shows. One
+        that is asked for takes place."""
+        once = motion.target.cycle is None and not motion.target.parts
+        asked = self.search.iterations is not None or self.folder.resume or self.warm_start is not None
+        return once and not asked and method_named(method).optimises
 
     def _imitate(self, robot: Robot, motion: Motion, method: str, folder: RunFolder) -> "Imitation":
         from fastmimic.imitation.imitate import imitate

@@ -42,15 +42,21 @@ def figure_rows(figures: dict[str, Any], reward: str, fell: str, clearance: tupl
 
 
 def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
-    reward, clearance = metrics["reward"], metrics["swing_clearance_m"]
-    swings = zip(clearance[column], clearance["demonstration"], strict=True)
+    """The figures of one episode of a run, as they are printed; `column` is "kinematic", "before" or "after"."""
+    if column == "kinematic":
+        figures = metrics["kinematic"] | {"reward_animal": metrics["kinematic"]["reward_mean"]}
+    else:
+        figures = {name: metrics[name][column] for _, name, *_ in _FIGURES}
+        figures |= {name: metrics[name][column] for name in ("fell", "swing_clearance_m")}
+        figures |= {"reward_mean": metrics["reward"][column]}
+        figures |= {"components": metrics["reward"][f"components_{column}"]}
+        figures |= {"reward_animal": metrics.get("reward_animal", {}).get(column)}
+    swings = zip(figures["swing_clearance_m"], metrics["swing_clearance_m"]["demonstration"], strict=True)
     shares = [realised / wanted for realised, wanted in swings if realised is not None and wanted]
     cells = figure_rows(
-        {name: metrics[name][column] for _, name, *_ in _FIGURES}
-        | {"components": reward[f"components_{column}"]}
-        | {"reward_animal": metrics.get("reward_animal", {}).get(column)},
-        reward=f"{reward[column]:.3f}",
-        fell=yes_no(metrics["fell"][column]),
+        figures,
+        reward=f"{figures['reward_mean']:.3f}",
+        fell=yes_no(figures["fell"]),
         clearance=("swing clearance, % of reference", number(min(shares, default=None), 0, 100)),
     )
     return dict(cells)
@@ -69,12 +75,17 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
 def put_result(
     result: "Imitation", folder: RunFolder, iterations: int | None, *, video: str | None, clip: Clip | None = None
 ) -> int:
-    """Prints the figures before and after, and adds the video, of this quality or None for none, to the folder, with
-    the animal of `clip`; returns the exit status. `iterations` is the number that was asked for, None for no number."""
+    """Prints the figures of the motion as retargeted, executable and optimised, and adds the video, of this quality or
+    None for none, to the folder, with the animal of `clip`; returns the exit status. `iterations` is the number that
+    was asked for, None for no number."""
     from fastmimic.report.figures import write_video
 
     metrics = result.metrics()
-    columns = {"before": "before", "after": "after"} if result.history is not None else {"before": "not optimised"}
+    executable = "kinematic" in metrics
+    columns = {"kinematic": "kinematic", "before": "executable"} if executable else {"before": "as retargeted"}
+    nothing_gained = bool(metrics["parameters"]) and all(p["value"] == p["initial"] for p in metrics["parameters"])
+    if result.history is not None:
+        columns |= {"after": "fitted" if nothing_gained else "optimised"}
     cells = [_column(metrics, column) for column in columns]
     rows = [(name, *(values[name] for values in cells)) for name in cells[0]]
     put(f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s")
@@ -83,6 +94,8 @@ def put_result(
     if metrics["evaluations"]:
         effort = f"{metrics['evaluations']} episodes in {metrics['iterations']} iterations, {effort}"
     put(effort)
+    if nothing_gained:
+        put("the search found nothing better: the result is the motion as fitted by DMPs")
     if video is not None:
         try:
             with count_progress("video, frame") as progress:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,6 +63,15 @@ class Imitation:
         """The demonstration that scores the robot."""
         return self.motion.target
 
+    @cached_property
+    def kinematic(self) -> Rollout | None:
+        """The same episode with the animal's motion as retargeted; None where it was not made executable. Simulated
+        when it is first asked for."""
+        animal = self.demonstration.animal
+        if animal is None:
+            return None
+        return run_episodes(self.robot, animal, duration_s=self.duration_s, config=self.config, log=True)
+
     def metrics(self) -> dict[str, Any]:
         """All metrics of the run, JSON-serialisable; undefined ones (no swing, no step) are None."""
         before, after = Metrics.of(self.before), Metrics.of(self.after)
@@ -82,6 +92,7 @@ class Imitation:
                 "components_after": after.components,
             },
             **({"reward_animal": both("reward_animal")} if before.reward_animal is not None else {}),
+            **({"kinematic": Metrics.of(self.kinematic).as_dict()} if self.kinematic is not None else {}),
             "fell": both("fell_once"),
             "drift_m_per_s": both("drift_m_per_s"),
             "swing_clearance_m": {

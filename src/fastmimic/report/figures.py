@@ -20,7 +20,6 @@ from fastmimic.base.rotations import roll_pitch_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, take_of
 from fastmimic.episode.feasibility import SAMPLE_S
-from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.measurement import foot_courses, shown_window
 from fastmimic.imitation.imitate import Imitation
@@ -194,18 +193,17 @@ def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
         loaded = result.config.release_force(result.robot)
         return rollout_track(rollout, loaded, title, note=f"{result.motion.name} · {method_named(method).label}")
 
-    robot, animal, seconds = result.robot, result.demonstration.animal, result.duration_s
+    robot, kinematic, seconds = result.robot, result.kinematic, result.duration_s
     tracks: list[Track] = []
     if clip is not None:
         tracks.append(AnimalTrack.of(clip, robot, result.motion, seconds, "the animal", result.motion.name))
-    if animal is not None:
-        as_it_is = run_episodes(robot, animal, duration_s=seconds, config=result.config, log=True)
+    if kinematic is not None:
         method = method_named(result.method)
         plain = "mbc" if method.learned or method.controller is not None else method.unoptimised.name
-        tracks.append(track(as_it_is, "without: the animal's motion as it is", plain))
+        tracks.append(track(kinematic, "without: the animal's motion as it is", plain))
     before = "not optimised" if result.motion.demonstration is None else "as its motions were optimised"
     title = "optimised" if result.history is not None else before
-    return [*tracks, track(result.after, title if animal is None else f"with: executable, {title}", result.method)]
+    return [*tracks, track(result.after, title if kinematic is None else f"with: executable, {title}", result.method)]
 
 
 def motion_figure(motion: Motion, robot: Robot) -> Figure:
