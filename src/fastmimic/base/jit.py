@@ -27,6 +27,14 @@ object_kernel: Final = functools.partial(kernel, _nrt=True)
 """Like `kernel`, for functions that call Python (`numba.objmode`)."""
 
 
+_compiled: list[str] = []  # names of the kernels that were not in the cache
+
+
+def has_compiled() -> bool:
+    """Whether this process has compiled a kernel, or does now; reading one from the cache does not count."""
+    return bool(_compiled)
+
+
 @functools.cache
 def _collect_no_garbage_meanwhile() -> None:
     """While a kernel is compiled: that makes many objects, and looking through all would take a sixth of the time."""
@@ -36,6 +44,7 @@ def _collect_no_garbage_meanwhile() -> None:
         kernels, resumes = 0, False  # being compiled, one calling the other; whether garbage was collected before
 
         def on_start(self, event: Any) -> None:
+            _compiled.append(event.data["dispatcher"].py_func.__name__)
             if self.kernels == 0:
                 self.resumes = gc.isenabled()
                 gc.disable()

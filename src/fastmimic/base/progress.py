@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from fastmimic.base.jit import has_compiled
+
 SLOW_START_S: Final = 3.0
-FIRST_USE: Final = "the first use compiles the controller: about half a minute, once"
-SLOW_START: Final = f"preparing; {FIRST_USE}"
+_FIRST_USE: Final = "the first use compiles the controller: about half a minute, once"
 _PLAIN_STEPS: Final = 10  # lines in all, where there is no terminal to draw a bar on
 
 
@@ -24,15 +25,25 @@ def is_watched() -> bool:
 
 
 @contextmanager
-def slow_start(text: str = SLOW_START) -> Iterator[Callable[[], None]]:
-    """Prints `text` if the block is still busy after a while, unless the yielded function was called before."""
-    timer = threading.Timer(SLOW_START_S, note, [text])
-    timer.daemon = True
-    timer.start()
+def slow_start(text: str = "preparing") -> Iterator[Callable[[], None]]:
+    """Prints `text` if the block is still busy after a while, and says so if it compiles, unless the yielded function
+    was called before."""
+    started = threading.Event()
+
+    def watch() -> None:
+        if started.wait(SLOW_START_S):
+            return
+        compiles = has_compiled()
+        note(f"{text}; {_FIRST_USE}" if compiles else text)
+        while not compiles and not started.wait(0.5):
+            if compiles := has_compiled():
+                note(_FIRST_USE)
+
+    threading.Thread(target=watch, daemon=True).start()
     try:
-        yield timer.cancel
+        yield started.set
     finally:
-        timer.cancel()
+        started.set()
 
 
 @contextmanager

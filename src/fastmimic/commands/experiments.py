@@ -17,7 +17,7 @@ from tyro.conf import Positional, Suppress
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import check_folder, write_json
 from fastmimic.base.machine import available_cores, versions
-from fastmimic.base.progress import FIRST_USE, note, share_progress, slow_start
+from fastmimic.base.progress import note, share_progress, slow_start
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import KEPT, put
 from fastmimic.control.config import controller_config
@@ -271,7 +271,7 @@ class Stress(ExperimentOptions):
         with self.writing(folder, lambda: write_stress(folder, settings, planned)):
             for i, method in enumerate(self.methods):
                 subject = self.subject(method, motion, robot, policy)
-                with share_progress("sweeps") as tell, slow_start(f"{method}: first sweep; {FIRST_USE}"):
+                with share_progress("sweeps") as tell, slow_start(f"{method}: first sweep"):
                     for k, name in enumerate(names, i * len(names) + 1):
                         path = part_file(self.out / SWEEPS, method, name)
                         finish_part(path, subject.digest, partial(sweep, subject, name, robot, settings))
@@ -323,6 +323,6 @@ class Transfer(ExperimentOptions):
                 for method in self.methods:
                     subject = self.subject(method, motion, robot, policy)
                     path = part_file(self.out / PARTS, motion.name, method)
-                    with slow_start(f"{motion.name}, {method}: running; {FIRST_USE}"):
+                    with slow_start(f"{motion.name}, {method}: running"):
                         finish_part(path, subject.digest, partial(run_trials, subject, robot, settings))
                     note(f"{motion.name}, {method}: done")

@@ -1,0 +1,26 @@
+"""What a start that takes long says."""
+
+import time
+
+import pytest
+
+from fastmimic.base import progress
+
+
+@pytest.mark.parametrize(("compiled", "said"), [([], "working\n"), (["f"], "working; the first use compiles")])
+def test_a_slow_start_says_that_it_compiles_only_if_it_does(
+    compiled: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "SLOW_START_S", 0.01)
+    monkeypatch.setattr("fastmimic.base.jit._compiled", compiled)
+    with progress.slow_start("working"):
+        time.sleep(0.3)
+    assert capsys.readouterr().err.startswith(said)
+
+
+def test_a_quick_start_says_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(progress, "SLOW_START_S", 0.1)
+    with progress.slow_start() as started:
+        started()
+        time.sleep(0.3)
+    assert capsys.readouterr().err == ""
