@@ -1,6 +1,6 @@
 """`fastmimic library`: datasets of motions that a robot can execute; building, listing, exporting, checking them."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -11,7 +11,7 @@ from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, subco
 
 from fastmimic.base.errors import ConfigError, FastMimicError, unknown
 from fastmimic.base.files import check_folder
-from fastmimic.base.progress import count_progress, note, share_progress, slow_start
+from fastmimic.base.progress import count_progress, note, share_progress, slow_start, tenths
 from fastmimic.clips.catalogue import parse_frames
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_SOME_FAILED, put, put_json, put_table
@@ -72,7 +72,8 @@ class Build:
 
         building = self._building()
         executor = make_executor(self.executor, workers=self.workers, address=self.address)
-        said = f"{len(building.sources)} sources, {len(building.robots)} robots, {building.seeds} seeds, in {self.out}"
+        counts = {"source": len(building.sources), "robot": len(building.robots), "seed": building.seeds}
+        said = ", ".join(f"{n} {what}{'s' * (n != 1)}" for what, n in counts.items()) + f", in {self.out}"
         with _progress(said) as progress:
             built = build_dataset(building, self.out, executor, update=self.update, progress=progress)
         put(f"{built.jobs} motions, {built.done} of them new")
@@ -285,6 +286,7 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
     from fastmimic.dataset.index import FAILED, grade
 
     started_building = False
+    due: defaultdict[str, Callable[[int, int], bool]] = defaultdict(tenths)  # by what is done
     with slow_start() as started, share_progress("building") as tell:
 
         def report(step: "BuildStep") -> None:
@@ -301,7 +303,8 @@ def _progress(said: str) -> "Iterator[Callable[[BuildStep], None]]":
                 r = step.record
                 what = f"reward {r['reward_mean']:.3f}, {grade(r)[0]}"
                 note(f"{step.done}/{step.total} {r['name']} on {r['robot']} seed {r['seed']}: {what}")
-            tell(step.share, f"{step.what} {step.done}/{step.total}", "")
+            what = f"{step.what} {step.done}/{step.total}"
+            tell(step.share, what, f"{what}, {step.share:.0%}" if due[step.what](round(100 * step.share), 100) else "")
 
         try:
             yield report
