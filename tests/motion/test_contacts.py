@@ -55,6 +55,19 @@ def test_a_foot_that_hardly_moves_is_standing() -> None:
     assert found(*quiet) == [[Stance(0, N)]] * 4
 
 
+@pytest.mark.parametrize(("rests_s", "lifted"), [(1.0, 0.025), (0.3, 0.025), (1.0, 0.10)])
+def test_a_foot_that_rests_stands_though_its_toe_is_high(rests_s: float, lifted: float) -> None:
+    """As a dog's does that stands before it walks; not one that is held up, or that pauses."""
+    n = round(rests_s * RATE)
+    height, speed = np.zeros((n + 240, 4)), np.zeros((n + 240, 4))
+    height[:n] = lifted
+    height[n + 100 : n + 130], speed[n + 100 : n + 130] = 0.08, 3.0
+    config = ContactConfig()
+    legs = detect(foot_activity(height, speed, RATE, False, config), RATE, False, config)
+    stands = contact_mask(legs, n + 240)[: n - 5]
+    assert stands.all() if (rests_s, lifted) == (1.0, 0.025) else not stands.any()
+
+
 def test_flicker_is_removed() -> None:
     height, speed = trotting_feet()
     clean = found(height, speed)

@@ -37,6 +37,8 @@ class ContactConfig:
     window_s: float = 0.75
     least_height_m: float = 0.03
     least_speed_m_per_s: float = 0.6
+    rest_s: float = 0.5
+    rest_speed_m_per_s: float = 0.1
     shortest_s: float = 0.06
 
 
@@ -45,7 +47,8 @@ def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic:
 
     It is the larger of height above the leg's own ground (`toe_height`, (t, 4), m) and horizontal world speed
     (`toe_speed`, (t, 4), m/s), each relative to its largest value nearby in time. Relative measures do not depend on
-    the animal's size or gait, and find slow steps beside fast ones.
+    the animal's size or gait, and find slow steps beside fast ones. A foot that rests stands, though its toe may be
+    higher than in the middle of a step.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -55,8 +58,23 @@ def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic:
     def relative(values: Array, least: float) -> Array:
         return values / np.maximum(maximum_filter1d(values, window, axis=0, mode=mode), least)
 
-    height = relative(np.maximum(toe_height, 0.0), config.least_height_m)
+    rests = _resting(toe_height, toe_speed, rate_hz, periodic, config)
+    height = relative(np.where(rests, 0.0, np.maximum(toe_height, 0.0)), config.least_height_m)
     return np.maximum(config.height_weight * height, relative(toe_speed, config.least_speed_m_per_s))
+
+
+def _resting(
+    toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig
+) -> NDArray[np.bool_]:
+    """Whether a foot (t, 4) does not move for a while, near the ground."""
+    from scipy.ndimage import binary_opening
+
+    n, laps = len(toe_height), 3 if periodic else 1
+    height, speed = np.tile(toe_height, (laps, 1)), np.tile(toe_speed, (laps, 1))
+    rises = np.abs(np.diff(height, axis=0, prepend=height[:1])) * rate_hz
+    still = (np.maximum(speed, rises) < config.rest_speed_m_per_s) & (height < 2.0 * config.least_height_m)
+    rests = binary_opening(still, np.ones((max(1, round(config.rest_s * rate_hz)), 1)))
+    return np.asarray(rests[n * (laps // 2) :][:n])
 
 
 def detect(activity: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Stances:
