@@ -141,7 +141,15 @@ def test_it_trots(folder: Path) -> None:
     ("text", "words"),
     [
         ("<robot name='dog'><link", "not a readable URDF"),
-        (urdf().replace('RL_calf_joint" type="revolute', 'RL_calf_joint" type="fixed'), "found 1 free, 11 hinge"),
+        (urdf().replace('RL_calf_joint" type="revolute', 'RL_calf_joint" type="fixed'), "found 11 revolute"),
+        (
+            urdf().replace('RL_calf_joint" type="revolute', 'RL_calf_joint" type="prismatic'),
+            "found 11 revolute, 1 prismatic",
+        ),
+        (
+            '<robot name="brick"><link name="brick"/></robot>',
+            r"expected twelve revolute joints, four legs of three .*; found no joints that move",
+        ),
         (urdf(effort=0.0), "has no torque limit"),
     ],
 )

@@ -6,6 +6,7 @@ stand bent in the keyframe `home`, and a leg without a sphere at its end gets on
 
 import os
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -41,6 +42,7 @@ def robot_from_urdf(path: Path) -> Robot:
     compiled, or not a twelve-joint quadruped."""
     try:
         tree = ElementTree.fromstring(path.read_bytes())
+        _check_joints(tree)
         notes = _prepare(tree, path)
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
         spec.modelfiledir = str(path.parent)
@@ -57,6 +59,15 @@ def robot_from_urdf(path: Path) -> Robot:
     if all(speed > 0 for speed in known):
         spec.add_numeric(name=SPEED_LIMIT, data=known)
     return _standing(spec, path.stem, notes)
+
+
+def _check_joints(tree: ElementTree.Element) -> None:
+    """Raises `RobotError` if the joints that move are not twelve that turn."""
+    kinds = Counter(str(joint.get("type")) for joint in tree.findall("joint"))
+    moving = {kind: count for kind, count in kinds.items() if kind not in ("fixed", "floating")}
+    if sum(moving.values()) != 12 or not moving.keys() <= {"revolute", "continuous"}:
+        found = ", ".join(f"{count} {kind}" for kind, count in moving.items()) or "no joints that move"
+        raise RobotError(f"expected twelve revolute joints, four legs of three (abduction, hip, knee); found {found}")
 
 
 def _prepare(tree: ElementTree.Element, path: Path) -> list[str]:
