@@ -150,7 +150,7 @@ def test_it_trots(folder: Path) -> None:
             '<robot name="brick"><link name="brick"/></robot>',
             r"expected twelve revolute joints, four legs of three .*; found no joints that move",
         ),
-        (urdf(effort=0.0), "has no torque limit"),
+        (urdf(effort=0.0), r'joint \'RL_hip_joint\' has no torque limit; give it <limit effort="…"/>'),
     ],
 )
 def test_what_is_no_such_robot_is_refused_in_a_line(

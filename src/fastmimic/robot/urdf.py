@@ -52,9 +52,14 @@ def robot_from_urdf(path: Path) -> Robot:
             geom.density = 0.0  # a link without inertia has none, whatever its shape
         notes += _add_feet(spec)
         limits = {joint.get("name"): limit for joint in tree.iter("joint") for limit in joint.iter("limit")}
-        speeds = {str(name): float(limit.get("velocity", 0)) for name, limit in limits.items()}
+        speeds, efforts = (
+            {str(name): float(limit.get(what, 0)) for name, limit in limits.items()} for what in ("velocity", "effort")
+        )
     except (ElementTree.ParseError, ValueError, OSError) as error:
         raise RobotError(f"not a readable URDF ({one_line(error)})") from None
+    for joint in _hinges(spec):
+        if efforts.get(joint.name, 0.0) <= 0:
+            raise RobotError(f"joint '{joint.name}' has no torque limit; give it <limit effort=\"…\"/>, in N·m")
     known = [speeds.get(joint.name, 0.0) for joint in _hinges(spec)]
     if all(speed > 0 for speed in known):
         spec.add_numeric(name=SPEED_LIMIT, data=known)
