@@ -1,5 +1,6 @@
 """Robots from URDFs, as vendors publish them: a dummy base, fixed feet, packages of meshes that may not be there."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -129,6 +130,15 @@ def test_a_foot_without_a_sphere_gets_one(folder: Path) -> None:
     robot = load_robot(folder)
     assert robot.foot_radius == pytest.approx(0.02)  # a tenth of the calf
     assert any("no spheres as feet: assumed at" in s and "FR_foot 20 mm" in s for s in robot.assumed)
+
+
+def test_without_top_speeds_one_is_assumed(folder: Path) -> None:
+    (folder / "urdf" / "dog.urdf").write_text(re.sub(r' velocity="[\d.]+"', "", urdf()))
+    robot = load_robot(folder)
+    np.testing.assert_array_equal(robot.joint_speed_limit, 21.0)
+    assert [s for s in robot.assumed if "rad/s" in s] == [
+        'no <limit velocity="…"/> of every joint in the URDF: 21 rad/s assumed'
+    ]
 
 
 def test_it_trots(folder: Path) -> None:

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from fastmimic.base.errors import RobotError
-from fastmimic.robot.mjcf import SPEED_LIMIT, one_line, robot_from_spec
+from fastmimic.robot.mjcf import DEFAULT_JOINT_SPEED_LIMIT, SPEED_LIMIT, one_line, robot_from_spec
 from fastmimic.robot.robot import Robot
 
 MOST_FOLDERS: Final = 2000  # that are searched: a vendor's has some dozens
@@ -61,8 +61,10 @@ def robot_from_urdf(path: Path) -> Robot:
         if efforts.get(joint.name, 0.0) <= 0:
             raise RobotError(f"joint '{joint.name}' has no torque limit; give it <limit effort=\"…\"/>, in N·m")
     known = [speeds.get(joint.name, 0.0) for joint in _hinges(spec)]
-    if all(speed > 0 for speed in known):
-        spec.add_numeric(name=SPEED_LIMIT, data=known)
+    if not all(speed > 0 for speed in known):
+        known = [DEFAULT_JOINT_SPEED_LIMIT]
+        notes.append(f'no <limit velocity="…"/> of every joint in the URDF: {known[0]:g} rad/s assumed')
+    spec.add_numeric(name=SPEED_LIMIT, data=known)
     return _standing(spec, path.stem, notes)
 
 
