@@ -1,4 +1,4 @@
-"""FastMimic: animal motions that a real quadruped can execute, under one model-based controller, without training.
+"""FastMimic: animal motions that a quadruped robot can execute, under one model-based controller, without training.
 
 Conventions, everywhere: SI units; world frame with z up; body frame at the trunk's base with x forward, y left, z
 up; quaternions (w, x, y, z), unit, body → world; legs in the order FR, FL, RR, RL, joints abduction, hip, knee in

@@ -43,7 +43,7 @@ def _listed(about: str, verbs: Mapping[str, Verb]) -> str:
 HELP: Final = f"""\
 usage: fastmimic VERB ... [-h] [--version]
 
-Turns an animal's motion into one that a real quadruped can execute.
+Turns an animal's motion into one that a quadruped robot can execute.
 
 {"".join(_listed(*group) for group in GROUPS.items())}\
 A MOTION is a built-in gait such as trot, a recording such as dog:pace (see 'fastmimic motions'), or a file.

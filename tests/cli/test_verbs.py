@@ -5,6 +5,7 @@ import json
 import re
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -17,6 +18,7 @@ from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import RECORDED, open_clip
 from fastmimic.clips.data import Dataset
 from fastmimic.clips.synthesis import GAITS, JUMPS
+from fastmimic.commands.show import provenance
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import METHODS, made_with
 from fastmimic.motion.motion import Motion
@@ -127,10 +129,20 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
     options = ("--frames", "4:36", "--fps", "50", "--up", "y", "--scale", "0.7", "--no-executable")  # it only glides
     done = run("retarget", "clip.txt", *options, "--out", "o.npz")
     assert done.status == 0, done.err
-    meta = Motion.load(in_folder / "o.npz").provenance.as_dict()
+    motion = Motion.load(in_folder / "o.npz")
+    assert "clip: clip.txt, frames 4:36, dog keypoints, scale 0.700, " in provenance(motion)
+    meta = motion.provenance.as_dict()
     assert meta["source"]["frames"] == [4, 36]
     assert meta["retarget"]["scale"] == 0.7
     assert meta["retarget"]["before"]["period_s"] == pytest.approx(32 / 50)
+
+
+def test_a_recordings_line_has_its_frames_once(run: Run, in_folder: Path) -> None:
+    assert run("retarget", "pace", "--out", "o.npz").status == 0
+    motion = Motion.load(in_folder / "o.npz")
+    recorded = {"source": "dog/walk.txt frames 162:201", "frames": [162, 201], "format": "keypoints"}
+    named = replace(motion, provenance=replace(motion.provenance, source=recorded))
+    assert ": dog/walk.txt frames 162:201, dog keypoints, scale 0.825, " in provenance(named)
 
 
 @pytest.mark.slow

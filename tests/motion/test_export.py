@@ -16,7 +16,7 @@ from fastmimic.cli import main
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import ReadOptions, detect_format, read_clip
 from fastmimic.clips.formats.points import robot_points
-from fastmimic.motion.export import DECIMALS, export_motion, sample
+from fastmimic.motion.export import DECIMALS, EXPORTS, export_motion, sample
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.kinematics import foot_positions
@@ -183,6 +183,15 @@ class TestMjlab:
         turn = quat_multiply(after, conjugate)
         turn *= np.sign(turn[..., :1])
         assert np.abs(2 * turn[..., 1:] * 250.0 - arrays["body_ang_vel_w"][1:-1]).max() < 0.3  # rad/s
+
+
+@pytest.mark.parametrize(("form", "suffix"), list(EXPORTS.items()))
+def test_a_name_without_an_ending_gets_that_of_the_format(
+    form: str, suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "trot", "--format", form, "--out", str(tmp_path / "trot")]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == [f"trot{suffix}"]
+    assert f"trot{suffix}" in capsys.readouterr().out
 
 
 class TestRefusals:

@@ -1,6 +1,7 @@
 """`fastmimic play` as a browser sees it, and what a user can get wrong."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -210,6 +211,9 @@ def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
             until(lambda: wanted() == [0.0, 0.0, 0.0], page)
         page.evaluate("window.pad.axes = [0.8, -1.0, 0.0, 0.0]")
         until(lambda: wanted() == [1.5, 0.0, -0.9], page)
+        one = r"-?\d\.\d\d"
+        assert re.search(f"↑ {one}, ← {one} m/s, ↺ {one} rad/s", live.panel._state.content)
+        assert "-0.00" not in live.panel._state.content
         began = session.observation["root_pos"][:2].copy()
         until(lambda: float(np.hypot(*(session.observation["root_pos"][:2] - began))) > 0.3, page)
         page.evaluate("window.pad.axes = [0.0, 0.0, 0.0, 0.0]")

@@ -107,6 +107,7 @@ def page(finished: Path) -> Parsed:
 def test_has_every_part_once(page: Parsed) -> None:
     assert len(page.ids) == len(set(page.ids))
     assert set(page.ids) >= SECTIONS | FIGURES | {"video", "replay", "verified"}
+    assert page.ids.index("verified") > page.ids.index("run")
     assert "notes" not in page.ids  # nothing is missing, and the rerun has the recorded rewards
     assert set(page.plots) == {name for name in page.ids if re.fullmatch(r".*-\d+", name)}
 

@@ -1,5 +1,6 @@
 """Robots from URDFs, as vendors publish them: a dummy base, fixed feet, packages of meshes that may not be there."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -131,6 +132,15 @@ def test_a_foot_without_a_sphere_gets_one(folder: Path) -> None:
     assert any("no spheres as feet: assumed at" in s and "FR_foot 20 mm" in s for s in robot.assumed)
 
 
+def test_without_top_speeds_one_is_assumed(folder: Path) -> None:
+    (folder / "urdf" / "dog.urdf").write_text(re.sub(r' velocity="[\d.]+"', "", urdf()))
+    robot = load_robot(folder)
+    np.testing.assert_array_equal(robot.joint_speed_limit, 21.0)
+    assert [s for s in robot.assumed if "rad/s" in s] == [
+        'no <limit velocity="…"/> of every joint in the URDF: 21 rad/s assumed'
+    ]
+
+
 def test_it_trots(folder: Path) -> None:
     result = evaluate("trot", load_robot(folder), duration_s=2.0)
     assert not result.rollout.fell.any()
@@ -141,8 +151,16 @@ def test_it_trots(folder: Path) -> None:
     ("text", "words"),
     [
         ("<robot name='dog'><link", "not a readable URDF"),
-        (urdf().replace('RL_calf_joint" type="revolute', 'RL_calf_joint" type="fixed'), "found 1 free, 11 hinge"),
-        (urdf(effort=0.0), "has no torque limit"),
+        (urdf().replace('RL_calf_joint" type="revolute', 'RL_calf_joint" type="fixed'), "found 11 revolute"),
+        (
+            urdf().replace('RL_calf_joint" type="revolute', 'RL_calf_joint" type="prismatic'),
+            "found 11 revolute, 1 prismatic",
+        ),
+        (
+            '<robot name="brick"><link name="brick"/></robot>',
+            r"expected twelve revolute joints, four legs of three .*; found no joints that move",
+        ),
+        (urdf(effort=0.0), r'joint \'RL_hip_joint\' has no torque limit; give it <limit effort="…"/>'),
     ],
 )
 def test_what_is_no_such_robot_is_refused_in_a_line(

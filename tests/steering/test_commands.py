@@ -82,12 +82,22 @@ def test_a_script_has_a_velocity_from_each_time_on(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "time_s,forwards\n", "0,1,2\n", "0,1,2,x\n", "0,1,2,nan\n", "0,0,0,0\n0,1,0,0\n", "0,1,2,3\n1,2\n"]
+    ("text", "words"),
+    [
+        ("", r" has no velocities: no line of numbers"),
+        ("time_s,forwards\n", r" has no velocities: no line of numbers"),
+        ("0,1,2\n", r", line 1: expected four numbers between commas: time in s, .*; found '0,1,2'"),
+        ("time_s,forwards\n0,abc\n", r", line 2: expected four .*forwards, to the left .*turning.*; found '0,abc'"),
+        ("0,0,0,0\n1,1,2,x\n", r", line 2: .*; found '1,1,2,x'"),
+        ("0,0,0,0\n1,1,2,nan\n", r", line 2: .*; found '1,1,2,nan'"),
+        ("time_s\n0,0,0,0\n0,1,0,0\n", r", line 3: its time is not later than the one before"),
+        ("0,1,2,3\n1,2\n", r", line 2: .*; found '1,2'"),
+    ],
 )
-def test_a_file_without_velocities_is_refused(text: str, tmp_path) -> None:
+def test_a_file_without_velocities_is_refused(text: str, words: str, tmp_path) -> None:
     path = tmp_path / "commands.csv"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=r"commands\.csv has no velocities"):
+    with pytest.raises(ConfigError, match=r"commands\.csv" + words):
         CommandScript(path)
 
 

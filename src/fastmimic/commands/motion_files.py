@@ -336,18 +336,19 @@ class Export:
     def run(self) -> None:
         if self.format not in (*EXPORTS, LEROBOT):
             raise unknown("format", self.format, (*EXPORTS, LEROBOT))
+        out = self.out
         if self.format != LEROBOT:
             if self.episodes is not None:
                 raise ConfigError(f"--episodes is for the format {LEROBOT}; {self.format} has the motion itself")
             endings = (".txt", ".json") if EXPORTS[self.format] == ".txt" else (EXPORTS[self.format],)
-            opt.check_writable(self.out, *endings)
+            out = opt.check_writable(out if out.suffix else out.with_name(out.name + endings[0]), *endings)
         opt.check_duration(self.duration)
         robot, motion = self.clip.load(self.motion, self.robot)
         if self.format == LEROBOT:
             said = self._run_and_write(robot, motion)
         else:
-            frames = export_motion(motion, robot, self.out, self.format, fps=self.rate, duration_s=self.duration)
-            said = f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {self.out}"
+            frames = export_motion(motion, robot, out, self.format, fps=self.rate, duration_s=self.duration)
+            said = f"{frames.n} frames at {frames.fps:g} per second for {robot.name} in {out}"
         if motion.provenance.licence:
             note(f"licence of the motion: {motion.provenance.licence}")
         put(said)

@@ -125,10 +125,11 @@ def provenance(motion: Motion) -> str:
     """One line: name, source, scale, period, licence."""
     origin, scale = motion.provenance.origin, motion.provenance.retargeted.scale
     parts = [origin.source]
-    if origin.frames is not None:
-        parts.append("frames {}:{}".format(*origin.frames))
+    cut = None if origin.frames is None else "frames {}:{}".format(*origin.frames)
+    if cut is not None and not origin.source.endswith(cut):  # a named recording has them in its source
+        parts.append(cut)
     if origin.format is not None and origin.format in FORMATS:
-        parts.append(FORMATS[origin.format].about)
+        parts.append(FORMATS[origin.format].about.split(",")[0])
     if scale is not None:
         parts.append(f"scale {scale:.3f}")
     held = motion.provenance.held_s

@@ -71,7 +71,8 @@ def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
     for name, title in _TIMES.items() if r["control_us"]["max"] else ():
         if name != "solve_us" or r[name]["median"] is not None:
             rows.append((title, _spread(r[name])))
-    rows.append(("commands cut to the limits", str(r["commands_cut"])))
+    cut = r["commands_cut"]
+    rows.append(("commands cut to the limits", f"{cut}, no fault: what is beyond is not sent" if cut else "none"))
     if r.get("log_ends"):
         rows.append(("log", f"ends {r['log_ends']}"))
     rows.append(("packets", ", ".join(f"{packets[name]} {name}" for name in ("sent", "received", "lost", "rejected"))))

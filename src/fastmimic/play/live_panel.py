@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fastmimic.viewer.viewer import Cameras
 
 _PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
-_DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ on": 0.0, "↓ back": 180.0}
+_DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ ahead": 0.0, "↓ back": 180.0}
 _MOTION_KEYS: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "0")
 _MAX_IMPULSE: Final = 20.0
 _MAX_PAYLOAD_KG: Final = 6.0
@@ -82,7 +82,7 @@ class PlayPanel(Panel):
             '<div style="font-size:13px;line-height:1.5;padding:0 10px;font-variant-numeric:tabular-nums;'
             f'white-space:nowrap;overflow:hidden"><b style="color:{colour}">{where}</b><br>'
             f"<span{slow}>{factor}</span> · {session.method} · reward <b>{reward:.2f}</b><br>"
-            f"{on:+.2f} m/s on, {left:+.2f} to the left, {turning:+.2f} rad/s</div>"
+            f"↑ {on:z.2f}, ← {left:z.2f} m/s, ↺ {turning:z.2f} rad/s</div>"
         )
 
     def _numbers(self) -> str:
@@ -90,7 +90,7 @@ class PlayPanel(Panel):
         median, p99 = session.control_us
         wanted = []
         if isinstance(session.reference, Steered):
-            values = ", ".join(f"{v:+.2f}" for v in session.reference.place["wanted"][0])
+            values = ", ".join(f"{v:z.2f}" for v in session.reference.place["wanted"][0])
             wanted.append(("wanted, m/s, m/s, rad/s", values))
         rows = (
             ("control step, median", f"{median:.0f} µs"),

@@ -6,6 +6,7 @@ stand bent in the keyframe `home`, and a leg without a sphere at its end gets on
 
 import os
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -15,7 +16,7 @@ import mujoco
 import numpy as np
 
 from fastmimic.base.errors import RobotError
-from fastmimic.robot.mjcf import SPEED_LIMIT, one_line, robot_from_spec
+from fastmimic.robot.mjcf import DEFAULT_JOINT_SPEED_LIMIT, SPEED_LIMIT, one_line, robot_from_spec
 from fastmimic.robot.robot import Robot
 
 MOST_FOLDERS: Final = 2000  # that are searched: a vendor's has some dozens
@@ -41,6 +42,7 @@ def robot_from_urdf(path: Path) -> Robot:
     compiled, or not a twelve-joint quadruped."""
     try:
         tree = ElementTree.fromstring(path.read_bytes())
+        _check_joints(tree)
         notes = _prepare(tree, path)
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
         spec.modelfiledir = str(path.parent)
@@ -50,13 +52,29 @@ def robot_from_urdf(path: Path) -> Robot:
             geom.density = 0.0  # a link without inertia has none, whatever its shape
         notes += _add_feet(spec)
         limits = {joint.get("name"): limit for joint in tree.iter("joint") for limit in joint.iter("limit")}
-        speeds = {str(name): float(limit.get("velocity", 0)) for name, limit in limits.items()}
+        speeds, efforts = (
+            {str(name): float(limit.get(what, 0)) for name, limit in limits.items()} for what in ("velocity", "effort")
+        )
     except (ElementTree.ParseError, ValueError, OSError) as error:
         raise RobotError(f"not a readable URDF ({one_line(error)})") from None
+    for joint in _hinges(spec):
+        if efforts.get(joint.name, 0.0) <= 0:
+            raise RobotError(f"joint '{joint.name}' has no torque limit; give it <limit effort=\"…\"/>, in N·m")
     known = [speeds.get(joint.name, 0.0) for joint in _hinges(spec)]
-    if all(speed > 0 for speed in known):
-        spec.add_numeric(name=SPEED_LIMIT, data=known)
+    if not all(speed > 0 for speed in known):
+        known = [DEFAULT_JOINT_SPEED_LIMIT]
+        notes.append(f'no <limit velocity="…"/> of every joint in the URDF: {known[0]:g} rad/s assumed')
+    spec.add_numeric(name=SPEED_LIMIT, data=known)
     return _standing(spec, path.stem, notes)
+
+
+def _check_joints(tree: ElementTree.Element) -> None:
+    """Raises `RobotError` if the joints that move are not twelve that turn."""
+    kinds = Counter(str(joint.get("type")) for joint in tree.findall("joint"))
+    moving = {kind: count for kind, count in kinds.items() if kind not in ("fixed", "floating")}
+    if sum(moving.values()) != 12 or not moving.keys() <= {"revolute", "continuous"}:
+        found = ", ".join(f"{count} {kind}" for kind, count in moving.items()) or "no joints that move"
+        raise RobotError(f"expected twelve revolute joints, four legs of three (abduction, hip, knee); found {found}")
 
 
 def _prepare(tree: ElementTree.Element, path: Path) -> list[str]:

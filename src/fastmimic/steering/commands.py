@@ -47,17 +47,32 @@ class CommandScript:
     def __init__(self, path: Path) -> None:
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
-            named = bool(lines) and any(letter.isalpha() for letter in lines[0])
-            self._rows = rows = np.array([[float(each) for each in line.split(",")] for line in lines[named:]])
-            if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all() or (np.diff(rows[:, 0]) <= 0).any():
-                raise ValueError("each line has a later time, s, and the velocity in m/s, m/s and rad/s, by commas")
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path} has no velocities: {error}") from None
+        named = bool(lines) and any(letter.isalpha() for letter in lines[0])
+        found = [_numbers(line, f"{path}, line {i}") for i, line in enumerate(lines[named:], 1 + named)]
+        if not found:
+            raise ConfigError(f"{path} has no velocities: no line of numbers")
+        self._rows = rows = np.array(found)
+        if (early := np.flatnonzero(np.diff(rows[:, 0]) <= 0)).size:
+            raise ConfigError(f"{path}, line {early[0] + 2 + named}: its time is not later than the one before")
         self.end_s: float | None = float(rows[-1, 0])
 
     def velocity(self, time_s: float) -> Array | None:
         row = int(np.searchsorted(self._rows[:, 0], time_s, side="right")) - 1
         return None if row < 0 else np.array(self._rows[row, 1:])
+
+
+def _numbers(line: str, where: str) -> list[float]:
+    """The time and velocity of a line of a `CommandScript`; raises `ConfigError`."""
+    try:
+        numbers = [float(cell) for cell in line.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4 or not np.isfinite(numbers).all():
+        columns = "four numbers between commas: time in s, forwards, to the left in m/s, turning to the left in rad/s"
+        raise ConfigError(f"{where}: expected {columns}; found '{line[:40]}'")
+    return numbers
 
 
 class ReceivedCommands(ABC):
