@@ -1,5 +1,6 @@
 """Verbs without simulation: `motions`, `robots`, `data` (what there is), `inspect`, `segment`, `retarget`, `export`."""
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
@@ -126,7 +127,7 @@ class Inspect:
     def run(self) -> None:
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
         robot, motion, lines = self._read()
-        put(*lines, *describe_motion(motion, robot))
+        put(*lines)
         if figure is not None:
             from fastmimic.render.figure_style import save
             from fastmimic.report.figures import motion_figure
@@ -135,21 +136,28 @@ class Inspect:
             put(f"figure in {figure}")
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
-        """The robot, its motion, and lines about the source file."""
+        """The robot, its motion, and lines about them. What is known of a clip itself is printed at once: it takes a
+        while to make a recording executable."""
         overrides = self.clip.overrides()
         source = find_motion(self.source)
         robot = opt.choose_robot(self.robot, source)
         if source.motion is not None:
-            return robot, source.load(robot, **overrides), ["format     FastMimic robot motion"]
+            motion = source.load(robot, **overrides)
+            return robot, motion, ["format     FastMimic robot motion", *describe_motion(motion, robot)]
         executable = bool(overrides.pop("executable", True))
         clip = source.open_clip(robot, **overrides)
+        told = [f"assumed    {sentence}" for sentence in clip.meta.get("assumed", ())]
+        put(*_describe_clip(clip), *told)
+        sys.stdout.flush()
         refused = []
-        try:
-            motion, report = find_motion(clip).retarget(robot, executable=executable)
-        except MotionError as error:
-            motion, report = find_motion(clip).retarget(robot, executable=False)
-            refused = [f"NOT EXECUTABLE {error}; all else is said of the kinematic motion"]
-        return robot, motion, [*_describe_clip(clip), f"retargeted to {robot.name}:", *report.lines(), *refused]
+        with slow_start("retargeting"):
+            try:
+                motion, report = find_motion(clip).retarget(robot, executable=executable)
+            except MotionError as error:
+                motion, report = find_motion(clip).retarget(robot, executable=False)
+                refused = [f"NOT EXECUTABLE {error}; all else is said of the kinematic motion"]
+        others = [line for line in describe_motion(motion, robot) if line not in told]
+        return robot, motion, [f"retargeted to {robot.name}:", *report.lines(), *refused, *others]
 
 
 def describe_motion(motion: Motion, robot: Robot) -> list[str]:
