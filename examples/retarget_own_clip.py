@@ -35,4 +35,4 @@ for sentence in clip.meta.get("assumed", []):
 print("\n".join(report.lines()))
 
 evaluation = fm.evaluate(motion, robot, duration_s=2.0)
-print(f"as retargeted, not optimised: reward {evaluation.rollout.reward[0]:.3f} over 2 s")
+print(f"not optimised: reward {evaluation.rollout.reward[0]:.3f} over 2 s")

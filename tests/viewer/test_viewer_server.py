@@ -145,7 +145,7 @@ def test_a_run_is_shown_before_and_after_as_it_was_made(
     assert (view.method, view.config, view.duration) == ("lh", "default", 0.2)  # what is given goes first
     robot, shown, heading, animal = view._prepare(run)
     assert (robot.name, heading, animal) == ("a1", "trot on a1", None)
-    assert [takes[0].title for takes in shown] == ["before: as retargeted", "after: optimised"]
+    assert [takes[0].title for takes in shown] == ["before: not optimised", "after: optimised"]
     assert [takes[0].rows for takes in shown] == [100, 100]
     assert not np.array_equal(shown[0][0].pose, shown[1][0].pose)
     file = tmp_path / "run" / "motion.npz"

@@ -279,7 +279,7 @@ class View:
         seconds = self.duration if self.duration is not None else default_duration(motion, EVALUATION_S)
         motions = [(motion, motion.name)]
         if source.folder is not None and motion.demonstration is not None:
-            motions = [(motion.target, "before: as retargeted"), (motion, "after: optimised")]
+            motions = [(motion.target, "before: not optimised"), (motion, "after: optimised")]
         shown = [self._takes(each, motion, robot, seconds, title) for each, title in motions]
         animal = Animal(clip, robot, motion) if clip is not None else None
         return robot, shown, f"{motion.name} on {robot.name}", animal

@@ -68,9 +68,9 @@ class Figure:
 
 
 Sections = Mapping[str, Sequence[Figure]]  # the figures of a page by section
-BEFORE: Final = Key("before: as retargeted", "var(--before)", "2px,5px")
+BEFORE: Final = Key("before: not optimised", "var(--before)", "2px,5px")
 AFTER: Final = Key("after: optimised", "var(--after)", "solid")
-ONLY: Final = Key("as retargeted, not optimised", "var(--after)", "solid")
+ONLY: Final = Key("not optimised", "var(--after)", "solid")
 DEMONSTRATION: Final = Key("demonstration", "var(--demo)", "dash")
 STANCE: Final = Key("stance wanted", "var(--stance)", pattern="")
 LIMIT: Final = Key("limit", "var(--limit)", "dashdot")

@@ -40,7 +40,7 @@ class Take:
     only an episode has is None without physics."""
 
     robot: Robot
-    title: str  # such as "before: as retargeted"
+    title: str  # such as "before: not optimised"
     rate_hz: float  # rows a second
     pose: Array  # (t, 19) the robot's root position (world, m), quaternion and joints (rad); finite
     wanted: Flags  # (t, 4) whether the contact schedule wants the foot on the ground
