@@ -60,6 +60,7 @@ def test_an_archive_is_refused_by_what_it_announces(kind: str) -> None:
     assert said in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_bomb_is_not_unpacked() -> None:
     import tracemalloc
 

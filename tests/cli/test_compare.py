@@ -38,6 +38,7 @@ def wait_for(process: "subprocess.Popen[str]", text: str) -> None:
     raise AssertionError(f"the process ended with {process.wait()} before '{text}': {seen}")
 
 
+@pytest.mark.slow
 def test_writes_tables_and_figures(run: Run, in_folder: Path) -> None:
     done = run("compare", "--motions", "trot", "--methods", "raibert", "mbc-dmp", *TINY, "--workers", "1")
     assert done.status == 0, done.err
@@ -121,6 +122,7 @@ def alive(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 def test_a_folder_with_a_comparison_is_refused_unless_asked(run: Run, in_folder: Path) -> None:
     command = ("compare", "--motions", "trot", "--methods", "mbc", *TINY, "--workers", "1", "--out", "run")
     assert run(*command).status == 0

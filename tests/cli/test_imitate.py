@@ -154,6 +154,7 @@ def test_without_optimisation_the_motion_is_the_retargeted_one(run: Run, in_fold
     assert Motion.load(out / "motion.npz").demonstration is None
 
 
+@pytest.mark.slow
 def test_the_robot_of_a_motion_is_known(run: Run, in_folder: Path) -> None:
     run("retarget", "walk", "--robot", "go1", "--out", "walk.npz")
     assert run("imitate", "walk.npz", *TINY, "--out", "run").status == 0
@@ -173,6 +174,7 @@ def test_the_number_of_workers_does_not_change_a_bit(run: Run, first: tuple[Path
         assert_same_run(in_folder / f"with-{workers}", first[0])  # with one for each core
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_search(run: Run, copy: Path) -> None:
     run("imitate", "trot", *TINY, "--seed", 1, "--out", "other")
     with np.load(copy / "checkpoint.npz") as a, np.load(copy.parent / "other/checkpoint.npz") as b:
@@ -180,6 +182,7 @@ def test_another_seed_is_another_search(run: Run, copy: Path) -> None:
         assert not np.array_equal(a["candidates"], b["candidates"])
 
 
+@pytest.mark.slow
 def test_default_folders_are_numbered(run: Run, in_folder: Path) -> None:
     (in_folder / "runs" / "trot-a1-mbc-0").mkdir(parents=True)  # empty: not taken
     said = [run("imitate", "trot", *TINY, "--no-optimize").out.splitlines()[-1] for _ in range(3)]
@@ -336,6 +339,7 @@ def test_a_terminal_gets_a_bar_with_the_best_reward_and_the_time_left(start: Sta
     assert "validating" in text
 
 
+@pytest.mark.slow
 def test_a_movement_that_does_not_repeat(run: Run, in_folder: Path) -> None:
     done = run("imitate", "trot", "--discrete", *TINY, "--out", "once")
     assert done.status == 0

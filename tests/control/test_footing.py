@@ -145,6 +145,7 @@ def test_a_lost_reading_is_not_felt(robot: Robot) -> None:
     assert loop.scorer.tallies["fallen"].sum() == 0
 
 
+@pytest.mark.slow
 def test_feet_are_lifted_on_stairs_and_only_there(robot: Robot) -> None:
     assert walked(robot, "stairs-up=0.05", ControllerConfig()).controller.memory["roughness"].max() > 0.01
     assert walked(robot, "slope=10", ControllerConfig()).controller.memory["roughness"].max() < 0.01

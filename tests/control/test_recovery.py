@@ -51,6 +51,7 @@ def pushed(robot: Robot, config: ControllerConfig, speed: float) -> tuple[np.nda
     return loop.scorer.tallies["fallen"] == 0, recovered, loop.controller.memory["recovering"] == 0
 
 
+@pytest.mark.slow
 def test_recovery_steps_catch_robots_that_fall_otherwise(robot: Robot) -> None:
     up, recovered, back = pushed(robot, ControllerConfig(), 1.0)
     fallen, never, _ = pushed(robot, own_schedule(), 1.0)

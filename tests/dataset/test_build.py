@@ -76,6 +76,7 @@ def test_a_second_build_does_nothing(mine: Path) -> None:
     assert contents(mine) == before
 
 
+@pytest.mark.slow
 def test_more_seeds_and_robots_are_added(mine: Path) -> None:
     more = BuildRequest([DatasetSource("trot")], RECIPE, ("a1", "go2"), seeds=2)
     again = build_dataset(more, mine, HERE)
@@ -134,6 +135,7 @@ def test_a_build_reads_no_motion_that_is_as_it_was_when_it_was_read_last(
     assert build_dataset(of("trot", "pace"), mine, HERE).done == 1
 
 
+@pytest.mark.slow
 def test_a_build_looks_through_no_source_that_is_as_it_was(
     clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,6 +242,7 @@ def test_what_a_killed_builder_has_left_is_removed(mine: Path) -> None:
     assert (mine / ".gitignore").exists()
 
 
+@pytest.mark.slow
 def test_a_torn_checkpoint_is_begun_anew(mine: Path) -> None:
     before = contents(mine)
     for path in mine.glob("records/*.json"):
@@ -268,6 +271,7 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     assert check(MotionDataset.open(mine)).foreign == ()
 
 
+@pytest.mark.slow
 def test_a_full_disk_loses_nothing(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = contents(mine)
     full = True
@@ -303,6 +307,7 @@ def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_folder_with_one_clip_that_is_torn(clips: Path, tmp_path: Path) -> None:
     sources = find_sources(clips)
     assert [Path(source.place).name for source in sources] == ["pace.txt", "torn.txt", "trot.txt"]

@@ -92,6 +92,7 @@ def test_a_wire_that_loses_and_delays_is_survived(trotting: Rig, a1: Robot) -> N
     assert done.result["reward_truth_mean"] > 0.85
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_messages_is_counted_and_not_used(stands: Rig, a1: Robot) -> None:
     faults = LinkFaults(duplicate=0.05, reorder=0.05, corrupt=0.05, not_finite=0.02)
     stands.put_in(SimDriver(a1, stands.clock, faults=faults))
@@ -209,6 +210,7 @@ def test_a_passage_too_short_is_refused(a1: Robot, trot: Motion) -> None:
         make_sequence(a1, dataclasses.replace(trot, cycle=None), ControllerConfig())
 
 
+@pytest.mark.slow
 def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     log = stands.run(log=tmp_path / "log.mcap").log
     again = DeploymentLog.load(tmp_path / "log.mcap")

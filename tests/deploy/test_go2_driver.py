@@ -335,6 +335,7 @@ def test_a_missing_library_is_one_line_with_the_command_that_mends_it(
         Go2Driver(go2).open()
 
 
+@pytest.mark.slow
 def test_a_driver_can_be_opened_again(go2: Robot, publisher: Publisher) -> None:
     driver = Go2Driver(go2, domain=publisher.domain)
     with publisher.talking():

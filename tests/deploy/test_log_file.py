@@ -253,6 +253,7 @@ def no_file_above(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.slow
 def test_a_full_disk_does_not_end_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -290,6 +291,7 @@ def test_a_robot_that_does_not_begin_leaves_no_log(stands: Rig, tmp_path: Path) 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_log_that_was_cut_off_is_scored_by_its_rows(stands: Rig, tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     done = stands.run(log=path, duration_s=1.0)

@@ -197,6 +197,7 @@ def simulated(go2: Robot) -> Iterator[Callable[..., SimServer]]:
         sim.close()
 
 
+@pytest.mark.slow
 def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
     go2: Robot, simulated: Callable[..., SimServer]
 ) -> None:
@@ -254,6 +255,7 @@ def test_corrupted_commands_are_rejected(go2: Robot, simulated: Callable[..., Si
         )
 
 
+@pytest.mark.slow
 def test_a_dead_robot_is_silent_and_limp(go2: Robot, simulated: Callable[..., SimServer]) -> None:
     sim = simulated(dead_after_s=2.0)
     with Go2Driver(go2, domain=sim.settings.domain) as driver:

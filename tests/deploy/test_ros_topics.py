@@ -184,6 +184,7 @@ def test_the_domain_is_that_of_ros(domain: int, monkeypatch: pytest.MonkeyPatch)
         RosPublisher(load_robot("a1"))
 
 
+@pytest.mark.slow
 def test_deploy_publishes_and_is_steered_by_a_node(
     domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

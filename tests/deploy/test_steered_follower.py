@@ -33,6 +33,7 @@ def velocities(done: Deployment, first_s: float, last_s: float) -> tuple[float, 
     return float(np.hypot(*inside["lin_vel"][:, :2].T).mean()), float(inside["ang_vel"][:, 2].mean())
 
 
+@pytest.mark.slow
 def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) -> None:
     done = steered.run(duration_s=5.9)
     assert done.outcome.stopped_by is StopReason.DURATION
@@ -56,6 +57,7 @@ def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) ->
         evaluation_of(a1, done.log, ControllerConfig())
 
 
+@pytest.mark.slow
 def test_asked_to_sit_down_it_stands_first(steered: Rig) -> None:
     def press(machine: object) -> None:
         steered.switch.leave = True

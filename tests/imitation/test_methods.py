@@ -183,6 +183,7 @@ class TestMadeWith:
         with pytest.raises(MotionError, match=r"provenance: .*made_with"):
             Provenance.from_dict(trot.provenance.as_dict() | {"made_with": record})
 
+    @pytest.mark.slow
     def test_a_stitched_motion_that_nothing_was_optimised_of_remembers_the_run(self, trot: Motion) -> None:
         robot = load_robot("a1")
         dmp = MotionDmp.fit(trot, robot)

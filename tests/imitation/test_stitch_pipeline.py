@@ -128,6 +128,7 @@ class TestResume:
     def run(self, finished: Path, tmp_path: Path) -> Path:
         return Path(shutil.copytree(finished, tmp_path / "run"))
 
+    @pytest.mark.slow
     def test_the_time_before_it_counts(self, walk: Motion, robot: Robot, run: Path) -> None:
         for name, elapsed in (("checkpoint-1.npz", 1000.0), ("checkpoint.npz", 5000.0)):
             with np.load(run / name) as file:

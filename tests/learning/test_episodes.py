@@ -47,6 +47,7 @@ def same(a: list[Outcome], b: list[Outcome]) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_a_policy_earns_in_training_what_it_earns_in_an_evaluation(robot: Robot, motion: Motion) -> None:
     """The closed loop of `fastmimic evaluate` and the episodes of the training are the same. They place robots by other
     sums: a foot that is placed on the ground to the last digit may touch it in one of the two alone, which the first

@@ -136,6 +136,7 @@ class TestTrain:
 
 
 class TestCompare:
+    @pytest.mark.slow
     def test_a_policy_is_a_row_at_the_papers_place(self, policy_file: Path, tmp_path: Path) -> None:
         policies = choose_policies([policy_file.parent], ["side-step"])
         plan = ComparisonPlan(TINY, ("side-step",), ("mbc", "rl"), seeds=1, ablations=False, policies=policies)

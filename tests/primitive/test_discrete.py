@@ -84,6 +84,7 @@ def test_steps_that_end_where_they_began_are_scaled_about_the_ground() -> None:
     np.testing.assert_allclose(higher[[0, 50, 400, 500]], -0.28, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_closed_form_solves_the_differential_equation_and_rests_at_the_goal(fitted: Fitted) -> None:
     """τ ż = α(β(g − y) − z) + a f(x), τ ẏ = z, T ẋ = −αₓ x, integrated by another hand, to twice the duration."""
     dmp, samples = fitted

@@ -202,6 +202,7 @@ def test_loaded_feet_are_marked_and_leave_trails(a1: Robot, walk: Walk, tmp_path
     assert coloured["air"][1] > 5 * coloured["bare"][1] + 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("opengl")
 @pytest.mark.parametrize("quality", ["preview", "high"])
 def test_a_loop_ends_on_the_ground_on_which_it_begins(a1: Robot, walk: Walk, tmp_path: Path, quality: str) -> None:

@@ -237,6 +237,7 @@ def test_one_line_for_what_cannot_be(
     assert not list(tmp_path.rglob("*.html"))
 
 
+@pytest.mark.slow
 def test_of_a_motion_done_once_no_cycle_and_no_drift_is_told(run: Path, page: Parsed, tmp_path: Path) -> None:
     drift = [key for key, *_ in page.metrics if key == "drift_m_per_s.after"]
     assert len(drift) == 2  # large, and in the table
@@ -252,6 +253,7 @@ def test_of_a_motion_done_once_no_cycle_and_no_drift_is_told(run: Path, page: Pa
     assert [key for key, *_ in Parsed(html).metrics if key == "drift_m_per_s.before"] == ["drift_m_per_s.before"]
 
 
+@pytest.mark.slow
 def test_of_a_take_it_runs_first_as_it_is(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

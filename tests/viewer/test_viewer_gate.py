@@ -182,6 +182,7 @@ OPENING = """url => new Promise(done => {
 })"""
 
 
+@pytest.mark.slow
 def test_a_browser_opens_the_address_and_another_site_in_it_gets_nothing(
     browser: Any, page: WebPage, foreign_site: str
 ) -> None:
