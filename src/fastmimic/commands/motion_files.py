@@ -1,6 +1,5 @@
 """Verbs without simulation: `motions`, `robots`, `data` (what there is), `inspect`, `segment`, `retarget`, `export`."""
 
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Final
@@ -136,8 +135,7 @@ class Inspect:
             put(f"figure in {figure}")
 
     def _read(self) -> tuple[Robot, Motion, list[str]]:
-        """The robot, its motion, and lines about them. What is known of a clip itself is printed at once: it takes a
-        while to make a recording executable."""
+        """The robot, its motion, and lines about them, those first that are of the clip itself."""
         overrides = self.clip.overrides()
         source = find_motion(self.source)
         robot = opt.choose_robot(self.robot, source)
@@ -146,18 +144,16 @@ class Inspect:
             return robot, motion, ["format     FastMimic robot motion", *describe_motion(motion, robot)]
         executable = bool(overrides.pop("executable", True))
         clip = source.open_clip(robot, **overrides)
-        told = [f"assumed    {sentence}" for sentence in clip.meta.get("assumed", ())]
-        put(*_describe_clip(clip), *told)
-        sys.stdout.flush()
+        told = [*_describe_clip(clip), *(f"assumed    {sentence}" for sentence in clip.meta.get("assumed", ()))]
         refused = []
-        with slow_start("retargeting"):
+        with slow_start("looking for the nearest motion that the robot can execute"):
             try:
                 motion, report = find_motion(clip).retarget(robot, executable=executable)
             except MotionError as error:
                 motion, report = find_motion(clip).retarget(robot, executable=False)
                 refused = [f"NOT EXECUTABLE {error}; all else is said of the kinematic motion"]
         others = [line for line in describe_motion(motion, robot) if line not in told]
-        return robot, motion, [f"retargeted to {robot.name}:", *report.lines(), *refused, *others]
+        return robot, motion, [*told, f"retargeted to {robot.name}:", *report.lines(), *refused, *others]
 
 
 def describe_motion(motion: Motion, robot: Robot) -> list[str]:
