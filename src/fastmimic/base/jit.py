@@ -30,9 +30,9 @@ object_kernel: Final = functools.partial(kernel, _nrt=True)
 _compiled: list[str] = []  # names of the kernels that were not in the cache
 
 
-def has_compiled() -> bool:
-    """Whether this process has compiled a kernel, or does now; reading one from the cache does not count."""
-    return bool(_compiled)
+def kernels_compiled() -> int:
+    """How many kernels this process has compiled, the present one included; those read from the cache do not count."""
+    return len(_compiled)
 
 
 @functools.cache

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from fastmimic.base.jit import has_compiled
+from fastmimic.base.jit import kernels_compiled
 
 SLOW_START_S: Final = 3.0
 _FIRST_USE: Final = "the first use compiles the controller: about half a minute, once"
@@ -28,15 +28,15 @@ def is_watched() -> bool:
 def slow_start(text: str = "preparing") -> Iterator[Callable[[], None]]:
     """Prints `text` if the block is still busy after a while, and says so if it compiles, unless the yielded function
     was called before."""
-    started = threading.Event()
+    started, known = threading.Event(), kernels_compiled()
 
     def watch() -> None:
         if started.wait(SLOW_START_S):
             return
-        compiles = has_compiled()
+        compiles = kernels_compiled() > known
         note(f"{text}; {_FIRST_USE}" if compiles else text)
         while not compiles and not started.wait(0.5):
-            if compiles := has_compiled():
+            if compiles := kernels_compiled() > known:
                 note(_FIRST_USE)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -136,7 +136,7 @@ class Imitate(SearchRun):
         """Whether a motion that is run once is not optimised: a search takes minutes and gains nothing that shows. One
         that is asked for takes place."""
         once = motion.target.cycle is None and not motion.target.parts
-        asked = self.search.iterations is not None or self.folder.resume or self.warm_start is not None
+        asked = opt.given(self.search) or self.folder.resume or self.warm_start is not None
         return once and not asked and method_named(method).optimises
 
     def _imitate(self, robot: Robot, motion: Motion, method: str, folder: RunFolder) -> "Imitation":

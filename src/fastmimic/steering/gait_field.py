@@ -168,10 +168,10 @@ def gait_field(
     velocities of that (the first, if none is), those before it those of `slow` for their own speed, and those after it
     those of `fast`. It is made once and kept in the user's cache folder: in a minute or two for each gait, or in
     seconds where its solutions are in the package, as those of the A1 and the Go2 with the built-in gaits. `progress`
-    is told how many velocities of a gait are done, and of how many. A gait of those after it that the robot cannot do,
-    or not reach, is left out with a warning. `workers` processes make it, as many as there are
-    cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there is
-    no executable motion near a gait, `ClipError` for a clip that does not repeat."""
+    is told how many velocities of a gait are done, and of how many. A gait after the one with the velocities of `grid`
+    that the robot cannot do, or not reach, is left out with a warning. `workers` processes make it, as many as there
+    are cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there
+    is no executable motion near another gait, `ClipError` for a clip that does not repeat."""
     robot = load_robot(source)
     clips = clips or [keypoints(gait, {"name": name}) for name, gait in _BUILT_IN.items()]
     for clip in clips:
