@@ -28,11 +28,12 @@ class Leg:
 
     INDEX = 2
 
-    def __init__(self, stance: bool, settings: GaitConfig = SETTINGS) -> None:
+    def __init__(self, stance: bool, settings: GaitConfig = SETTINGS, asked: float = LOADED) -> None:
         self.config = pack_config(ControllerConfig(rate_hz=1 / DT, gait=settings), body(WEIGHT / GRAVITY))
         self.memory = np.zeros(1, MEMORY)
         self.memory["stance"][0, self.INDEX] = stance
         self.memory["since_switch"][0, self.INDEX] = 1e3
+        self.memory["force"][0, self.INDEX, 2] = asked
 
     def step(self, wanted: bool, force: float, swung: float = 0.7) -> bool:
         return plan_leg(self.config[0], self.memory[0], self.INDEX, wanted, 0.0 if wanted else swung, force)
@@ -133,6 +134,14 @@ class TestEarlyTakeOff:
         leg.run(0.2, wanted=True, force=LOADED)
         return leg
 
+    def test_a_leg_that_is_asked_for_little_stands_without_load(self) -> None:
+        """Animals shift their weight to some feet before they lift others, which stand meanwhile."""
+        leg = Leg(stance=True, asked=0.09 * WEIGHT)
+        leg.run(0.2, wanted=True, force=LOADED)
+        assert leg.time_to_switch(wanted=True, force=FREE) == np.inf
+        leg.memory["force"][0, leg.INDEX, 2] = 0.1 * WEIGHT
+        assert leg.time_to_switch(wanted=True, force=FREE) == pytest.approx(0.04)
+
     def test_a_leg_without_load_for_40_ms_swings(self) -> None:
         leg = self.standing()
         assert leg.time_to_switch(wanted=True, force=FREE) == pytest.approx(0.04)
@@ -225,6 +234,6 @@ class TestScheduleOnly:
 def test_legs_do_not_share_their_memory() -> None:
     leg = Leg(stance=True)
     leg.step(wanted=False, force=LOADED)
-    for name in ("stance", "unloaded_time", "was_loaded", "early"):
+    for name in ("stance", "unloaded_time", "missed_time", "was_loaded", "early"):
         others = np.delete(leg.memory[name][0], leg.INDEX)
         np.testing.assert_array_equal(others, 0)

@@ -48,6 +48,7 @@ class GaitConfig:
     release_threshold: float = 0.02
     min_switch_time: float = 0.1
     early_takeoff_time: float = 0.08
+    early_takeoff_force: float = 0.1
     early_touchdown_from: float = 0.5
     step_reach: tuple[float, float] = (0.3, 0.15)
     least_step_time: float = 0.05

@@ -2,9 +2,9 @@
 (paper, eq. 1; Di Carlo et al. 2018).
 
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
-schedule says so (take-off), or when it has been unloaded for a while in scheduled stance (early take-off). It enters
-stance when the schedule says so (touch-down), or when it meets the ground late in a scheduled swing
-(early touch-down). Two switches of a leg are at least `min_switch_time` apart.
+schedule says so (take-off), or when it bears nothing for a while in scheduled stance, though it is asked to (early
+take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground late in a scheduled
+swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
@@ -40,6 +40,8 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold
     memory.unloaded_time[leg] = memory.unloaded_time[leg] + config.dt if free else 0.0
+    missed = free and memory.force[leg, 2] >= config.early_takeoff_force
+    memory.missed_time[leg] = memory.missed_time[leg] + config.dt if missed else 0.0
     if config.planner_full == 0:
         stood = memory.stance[leg] == 1
         if wanted != stood:
@@ -50,7 +52,7 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
     if memory.stance[leg] == 1:
         if loaded:
             memory.was_loaded[leg] = 1
-        lost = memory.was_loaded[leg] == 1 and memory.unloaded_time[leg] >= config.early_takeoff_time
+        lost = memory.was_loaded[leg] == 1 and memory.missed_time[leg] >= config.early_takeoff_time
         if wanted:
             memory.early[leg] = 0
             leave = lost

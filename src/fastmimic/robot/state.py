@@ -36,7 +36,7 @@ def commanded_torque(command: Any, q: NDArray[np.float64], dq: NDArray[np.float6
 MEMORY: Final = record_dtype(
     [
         *integers(stance=4, early=4, was_loaded=4, began=(), recovering=(), taken_up=(), grounded=()),
-        *floats(since_switch=4, unloaded_time=4, liftoff_offset=(4, 3), force=(4, 3)),
+        *floats(since_switch=4, unloaded_time=4, missed_time=4, liftoff_offset=(4, 3), force=(4, 3)),
         *floats(foot_shift=(4, 2), foot_shift_rate=(4, 2), haste=(), lag=(4, 2), velocity=6, expected=6, disturbance=6),
         *floats(urgency=(), since_recovery=(), calm=()),
         *floats(foothold=(4, 3), slope=2, ground=(), ground_at=2, roughness=()),
@@ -46,7 +46,8 @@ MEMORY: Final = record_dtype(
     ]
 )
 """Controller memory of one robot: leg states (stance 1, swing 0), timers, last forces (heading frame), and the time of
-the last horizon plan, s, 0 without one. `foot_shift` is where a foot is, or is to be, from the reference's, both from
+the last horizon plan, s, 0 without one. A foot has been without load for `unloaded_time`, and for `missed_time` though
+it was asked to bear some. `foot_shift` is where a foot is, or is to be, from the reference's, both from
 their trunks, heading frame, m, and its rate in the world, m/s. `haste` are the samples that the reference advances
 beyond one in a control step (or `taken_up_at`), and `lag` is how far a standing foot of the reference has got ahead by
 it, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's `velocity` (in the
