@@ -7,12 +7,14 @@ from typing import Any, Final
 from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.computer import LoopClock, Rehearsal, StopSwitch, VirtualClock
-from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
+from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, damping_command
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
 _AT_ONCE: Final = 2  # signals that end crouching and damping early
+
+Moments = tuple[float, float, float]  # when a state was read, the command ready, and sent; s on the loop's clock
 
 
 @dataclass(frozen=True)
@@ -69,24 +71,21 @@ class Loop:
             raise
 
     def _prepare(self) -> None:
-        state = self.driver.read(FIRST_STATE_S)
-        if state is None:
+        if not self._read(FIRST_STATE_S):
             if rejected := self.driver.packets.rejected:
                 raise DriverError(f"no good state of the robot within {FIRST_STATE_S:g} s: {rejected} were damaged")
             hint = "is it switched on, in low-level mode, and on this network?"
             raise DriverError(f"no state of the robot within {FIRST_STATE_S:g} s: {hint}")
         rehearsal = None if isinstance(self.clock, VirtualClock) else Rehearsal(self.clock, self._dt)
-        self.machine.warm_up(state.reading, rehearsal)
+        self.machine.warm_up(self._state.reading, rehearsal)
         if rehearsal is not None:
             self.note(rehearsal.text(self._guard.limits.stale_s))
         self._began = self._start = self._deadline = self.clock.now()
-        self._record(state, True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
+        self._record(True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
 
     def _begin(self) -> None:
-        state = self.driver.read(FIRST_STATE_S)
-        if state is None:
+        if not self._read(FIRST_STATE_S):
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
-        self._state = state
         self._before = replace(self.driver.packets)
         self._received = self._state.received
         found = self.machine.begin(self._state.reading)
@@ -168,7 +167,7 @@ class Loop:
         if send:
             self.driver.write(command)
         done = clock.now()
-        self._record(state, fresh, phase, machine.in_motion, command, send, (read, ready, done))
+        self._record(fresh, phase, machine.in_motion, command, send, (read, ready, done))
         if done > self._deadline + self._dt:
             self._misses += 1
         self._deadline += self._dt
@@ -177,21 +176,15 @@ class Loop:
     def _read(self, timeout_s: float = 0.0) -> bool:
         """Takes the newest state; returns whether there is a new one."""
         state = self.driver.read(timeout_s)
-        self._state = self._state if state is None else state
+        if state is not None:
+            self._state = state
         return state is not None
 
     def _record(
-        self,
-        state: StateMessage,
-        fresh: bool,
-        phase: DeploymentPhase,
-        moving: bool,
-        command: Records,
-        sent: bool,
-        times: tuple[float, float, float],
+        self, fresh: bool, phase: DeploymentPhase, moving: bool, command: Records, sent: bool, times: Moments
     ) -> None:
         """Fills in the row of the period, field by field in the order of `ROW`."""
-        machine, began, (read, ready, done) = self.machine, self._began, times
+        machine, state, began, (read, ready, done) = self.machine, self._state, self._began, times
         memory, clock = machine.controller.memory, machine.follower.clock
         packets, before, received = self.driver.packets, self._before, state.received
         spans = began - self._start, self._late, read - began, ready - read, done - ready
@@ -232,6 +225,6 @@ class Loop:
         self._began = sent = self.clock.now()
         fresh = self._read()
         times = sent, sent, self.clock.now()
-        self._record(self._state, fresh, phase, False, command, not self.dry, times)
+        self._record(fresh, phase, False, command, not self.dry, times)
         self._deadline = max(self._deadline, sent) + self._dt
         self.clock.sleep_until(self._deadline)
