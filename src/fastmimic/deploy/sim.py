@@ -2,7 +2,6 @@
 
 import heapq
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -150,11 +149,6 @@ class LinkFaults:
     def __post_init__(self) -> None:
         check(self, "link: ")
 
-    @cached_property
-    def perfect(self) -> bool:
-        """Whether messages are at most delayed."""
-        return self == LinkFaults(latency_s=self.latency_s, seed=self.seed)
-
 
 class Packet(NamedTuple):
     """A message under way: its arrival, s; its place among those of the same arrival; the sender's count; whether it
@@ -185,9 +179,7 @@ class SimulatedLink:
     def send(self, now: float, sequence: int, record: Records) -> None:
         """Sends a record (1,) at a time in s."""
         faults = self.faults
-        lost = doubled = late = flipped = nan = 1.0
-        if not faults.perfect:
-            lost, doubled, late, flipped, nan = self._rng.random(5)
+        lost, doubled, late, flipped, nan = self._rng.random(5)
         if nan < faults.not_finite:
             record = record.copy()
             record.view(np.float64)[:] = np.nan
