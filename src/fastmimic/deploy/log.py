@@ -6,8 +6,8 @@ Its folder holds `log.mcap`, which grows while it runs, and in the end `motion.n
 
 import io
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -164,14 +164,11 @@ def load_ground_truth(path: str | Path) -> Records:
     return rows
 
 
-@contextmanager
-def open_deployment(folder: Path) -> Iterator[None]:
-    """Prepares a folder, which must be new or empty; unchanged if the block fails before its log begins. Raises
-    `OutputError`."""
+def open_deployment(folder: Path) -> AbstractContextManager[None]:
+    """Prepares a new or empty folder; unchanged if the block fails before its log begins. Raises `OutputError`."""
     if folder.is_dir() and any(folder.iterdir()):
         raise OutputError(f"{folder} holds an earlier deployment or something else; choose another --out")
-    with created(folder):
-        yield
+    return created(folder)
 
 
 class Recorder:
