@@ -129,7 +129,6 @@ class Steered:
             if row >= passage.n:
                 self._passing = None
                 self._go_over(gait, (passage.arrive + row - passage.n) % gait.n)
-                place["wanted"] = gait.field.nearest(self._asked)
             return
         gait = self._next_gait(now)
         place["wanted"] = now.field.nearest(self._asked)
@@ -145,7 +144,6 @@ class Steered:
             self._pass(gait, row)
         elif (other := self._ways[gait, now][row]) >= 0:
             self._go_over(gait, other)
-            place["wanted"] = gait.field.nearest(self._asked)
 
     def _next_gait(self, now: Gait) -> Gait:
         """The first of the preferred gaits that can follow the present one, or standing."""
@@ -189,6 +187,7 @@ class Steered:
         place["offset"][FEET], place["fades"] = 0.0, 1.0
         place["away"] = feet - own[FEET]
         place["lifted"], place["leaving"] = place["away"], speed - (then - own)[FEET] * RATE_HZ
+        place["wanted"] = gait.field.nearest(self._asked)
         place["since"], place["lasts"] = 0.0, LANDED * np.maximum(gait.until[row], 1) / RATE_HZ
 
     def _values(self, place: Any) -> Array:
