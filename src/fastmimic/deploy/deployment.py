@@ -137,9 +137,8 @@ def deploy(
         watch: called after each period with the state machine and the period's record of `ROW`.
         note: takes lines for the operator.
 
-    Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that the robot cannot
-    begin or end, and, before anything is sent, `OutputError` without room for the log, and `DriverError` without a
-    robot that is fit to begin.
+    Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that cannot be begun or
+    ended; before anything is sent, `OutputError` without room for the log and `DriverError` without a fit robot.
     """
     options = options if options is not None else DeployOptions()
     method, config = options.controller(motion)
@@ -215,10 +214,9 @@ class ScoredLog:
 def score_log(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: Records | None = None
 ) -> ScoredLog | None:
-    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none, or
-    the robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of
-    the log, the estimate if None. The reference starts as the controller's did and is then synchronised to these
-    states."""
+    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none, or the
+    robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the states in the log's rows,
+    the estimates if None. The reference starts as the controller's did and is then synchronised to them."""
     motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
     if log.meta.get("steered") or not len(rows):
         return None

@@ -156,8 +156,7 @@ def is_deployment_log(path: str | Path) -> bool:
 
 
 def load_ground_truth(path: str | Path) -> Records:
-    """(t,) of `GROUND_TRUTH` as `fastmimic robot-sim --log` writes it, whole or cut off; raises `DeploymentError` for
-    another file."""
+    """(t,) of `GROUND_TRUTH` from `fastmimic robot-sim --log`, whole or cut off; `DeploymentError` for another file."""
     rows = read_log_file(Path(path), {ROBOT_SIM: GROUND_TRUTH}).rows[ROBOT_SIM]
     if not len(rows):
         raise DeploymentError(f"{path}: not a log of 'fastmimic robot-sim', or it ends before its first state")

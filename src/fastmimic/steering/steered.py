@@ -3,13 +3,11 @@
 A foot that stands keeps its place in the world, whatever the trunk does, but for rolling as its ball does. One that
 swings leaves from there and comes to where the present mixture of gaits has it; while the robot accelerates, a little
 against that (the lean of an inverted pendulum). So the velocity can change at any moment, and no foot slides. The
-wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands as soon as all
-feet are on the ground.
+wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands when all feet do.
 
 Where a field has a slower gait that can do what is wanted, such as a walk, the robot goes over to it, and back, at the
 next moment at which the same feet stand in both. Feet go on from where they are, and what else differs fades (as in
-games: Bollo 2018, "Inertialization"). A gait that cannot be slow, such as a canter, is entered and left by the field's
-passages.
+games: Bollo 2018, "Inertialization"). A gait that cannot be slow is entered and left by the field's passages.
 """
 
 from itertools import pairwise, permutations
@@ -121,8 +119,7 @@ class Steered:
 
     def _change_gait(self) -> None:
         """Goes over to the first of the preferred gaits that has the present velocity, as soon as the same feet stand,
-        or by a passage; to a slower one only if that has what is asked for to spare, so that a trembling stick changes
-        nothing."""
+        or by a passage; to a slower one only if that has some to spare: a trembling stick changes nothing."""
         place, now, row = self.place[0], self._gait, int(self.place["position"][0])
         if self._passing is not None:
             passage, gait = self._passing

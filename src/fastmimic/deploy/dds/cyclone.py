@@ -74,8 +74,7 @@ def loaned(reader: int, depth: int, structure: Any, convert: Callable[[Any], T])
 
 
 def configuration(interface: str) -> str:
-    """CycloneDDS's configuration for a network interface: peers are found by port and, where
-    loopback has it, multicast on loopback; else by multicast."""
+    """CycloneDDS's configuration for an interface: peers are found by multicast, on loopback by port as well."""
     general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
     if interface == LOOPBACK:
         general += "<AllowMulticast>spdp</AllowMulticast>"

@@ -3,8 +3,7 @@ rt/api/SERVICE/request and …/response), with the release of its motion service
 
 Fields are those of Unitree's IDL, in `unitree.idl`; a quadruped uses the first 12 of the 20 motors. CDR's alignment
 differs from C's between nested structures; the checksum covers C's layout with its padding. Joints (FR, FL, RR, RL;
-hip, thigh, calf), their signs and the quaternion (w, x, y, z; body → world) are the project's; the IMU's axes are the
-body's.
+hip, thigh, calf), signs and quaternion (w, x, y, z; body → world) are the project's; the IMU's axes the body's.
 """
 
 import json
