@@ -16,7 +16,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
-from fastmimic.simulation.simulators import Simulation, make_simulation
+from fastmimic.simulation.simulators import make_simulation
 
 STARTS: Final = ("lying", "standing")
 _RATE_HZ: Final = 500.0  # of the states
@@ -69,20 +69,16 @@ class SimulatedBody:
     `fell` whether it tipped over or landed on anything but its feet at more than 0.7 m/s."""
 
     def __init__(
-        self,
-        robot: Robot,
-        simulation: Simulation,
-        sensors: Sensors,
-        rate_hz: float,
-        start: str = STARTS[0],
-        watchdog_s: float = WATCHDOG_S,
+        self, robot: Robot, conditions: Conditions, rate_hz: float, start: str, watchdog_s: float = WATCHDOG_S
     ) -> None:
-        """`simulation` and `sensors` are of this one robot, stepped at `rate_hz`. The motors damp when no command came
-        for `watchdog_s`. Raises `ConfigError` if `start` is none of `STARTS`."""
+        """It is stepped at `rate_hz`, its sensors are read at 500 Hz. The motors damp when no command came for
+        `watchdog_s`. Raises `ConfigError` if `start` is none of `STARTS`, or the simulator cannot do the conditions."""
         if start not in STARTS:
             raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
-        self.robot, self.simulation, self.sensors = robot, simulation, sensors
-        self.observation = simulation.observation  # the same records in all steps
+        world = make_world(conditions.disturbances, 1, conditions.simulator)
+        self.robot, self.sensors = robot, Sensors(robot, 1, _RATE_HZ, conditions.sensors, world)
+        self.simulation = make_simulation(robot, 1, conditions, control_rate_hz=rate_hz)
+        self.observation = self.simulation.observation  # the same records in all steps
         self._dt, self._standing, self._watchdog_s = 1.0 / rate_hz, start == "standing", watchdog_s
         self._damping = damping_command()
 
@@ -223,13 +219,10 @@ class SimDriver(RobotDriver):
         the simulator cannot realise."""
         super().__init__(robot)
         self._clock: LoopClock = clock if clock is not None else VirtualClock()
-        self._conditions = chosen = conditions if conditions is not None else Conditions(observe="sensors")
+        self._conditions = conditions if conditions is not None else Conditions(observe="sensors")
         self._faults = faults if faults is not None else LinkFaults()
         self._dt = 1.0 / _RATE_HZ
-        simulation = make_simulation(robot, 1, chosen, control_rate_hz=_RATE_HZ)
-        world = make_world(chosen.disturbances, 1, chosen.simulator)
-        sensors = Sensors(robot, 1, _RATE_HZ, chosen.sensors, world)
-        self.body = SimulatedBody(robot, simulation, sensors, _RATE_HZ, start)
+        self.body = SimulatedBody(robot, self._conditions, _RATE_HZ, start)
         self._truth: list[bytes] = []
 
     def truth_at(self, sequence: Indices) -> Records:
