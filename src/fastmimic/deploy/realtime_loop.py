@@ -34,13 +34,12 @@ class Loop:
     """One run. Nothing is sent before `run`; afterwards the robot is damped or limp."""
 
     driver: RobotDriver  # open
-    machine: StateMachine  # its guard checks its commands
+    machine: StateMachine  # its guard checks its commands; in a dry run nothing is sent
     recorder: Recorder  # takes a row for each period
     clock: LoopClock  # of the deadlines and of the driver's states
     steps: float  # control steps in the motion after which it ends
     reason: StopReason  # why it ends then
     switch: StopSwitch
-    dry: bool = False  # whether nothing is sent
     watch: Callable[[StateMachine, Any], None] | None = None
     """Called at the end of each period with the machine and its record of `ROW`."""
     note: Callable[[str], None] = lambda line: None  # takes lines for the operator
@@ -66,7 +65,7 @@ class Loop:
         except DriverError as error:
             return self._end(Violation(StopReason.DRIVER, str(error)))
         except BaseException:
-            if not self.dry:
+            if not self._guard.dry:
                 self.driver.write(self._damping)
             raise
 
@@ -163,7 +162,7 @@ class Loop:
         if violation is None:
             late = max(self._late, ready - self._deadline - self._dt)
             violation = self._guard.check_number(StopReason.OVERRUN, late)
-        send = violation is None and not self.dry
+        send = violation is None and not self._guard.dry
         if send:
             self.driver.write(command)
         done = clock.now()
@@ -220,11 +219,11 @@ class Loop:
 
     def _step_down(self, phase: DeploymentPhase, command: Records) -> None:
         """One period after the end: a command that needs no state."""
-        if not self.dry:
+        if not self._guard.dry:
             self.driver.write(command)
         self._began = sent = self.clock.now()
         fresh = self._read()
         times = sent, sent, self.clock.now()
-        self._record(fresh, phase, False, command, not self.dry, times)
+        self._record(fresh, phase, False, command, not self._guard.dry, times)
         self._deadline = max(self._deadline, sent) + self._dt
         self.clock.sleep_until(self._deadline)
