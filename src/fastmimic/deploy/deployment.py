@@ -12,7 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array, Indices, Records
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, DeploymentError
+from fastmimic.base.errors import ConfigError, DeploymentError, check_positive
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import SHORT_SPIN_S, LoopClock, StopSwitch, VirtualClock, undisturbed
@@ -84,8 +84,8 @@ class DeployOptions:
             raise ConfigError(f"{' and '.join(given)} both say when the motion ends; give one of them")
         if self.cycles is not None and self.cycles < 1:
             raise ConfigError(f"the cycles must be at least 1, found {self.cycles}")
-        if self.duration_s is not None and not (math.isfinite(self.duration_s) and self.duration_s > 0):
-            raise ConfigError(f"the duration must be positive, found {self.duration_s}")
+        if self.duration_s is not None:
+            check_positive(self.duration_s, "the duration")
         if motion.cycle is None:
             if given:
                 raise ConfigError(f"motion '{motion.name}' does not repeat; leave out {given[0]}")
@@ -230,14 +230,13 @@ def score_log(
     if not ((counts["sample"] >= 0) & (counts["sample"] < len(table)) & (np.abs(counts["haste"]) <= len(table))).all():
         raise DeploymentError("the log is damaged: it has samples that its motion has not")
     scorer, memory = Scorer(robot, table, 1, config, log.rate_hz), np.zeros(1, MEMORY)
-    before = counts[0]
     clocks, terms = np.zeros(len(rows), clock.dtype), []
     for i in range(len(rows)):
         if i > 0:
             # periods that are not there were left out of the reference as well
             advance_clocks(clock, table[None], seen["root_pos"][i : i + 1], counts["haste"][i - 1 : i])
-        memory["early_touchdowns"] = counts["early_touchdowns"][i] - before["early_touchdowns"]
-        memory["qp_failures"] = counts["qp_failures"][i] - before["qp_failures"]
+        for name in ("early_touchdowns", "qp_failures"):
+            memory[name] = counts[name][i] - counts[name][0]
         scorer.score(clock, seen[i : i + 1], memory)
         clocks[i] = clock[0]
         terms.append(scorer.terms[0])
