@@ -1,5 +1,4 @@
-"""The files of a deployment: its log, one row per period, and the true states of a simulated robot; and the thread that
-writes them as the rows come.
+"""The files of a deployment: its log, a row per period, a simulated robot's true states, and the thread that writes.
 
 Its folder holds `log.mcap`, which grows while it runs, and in the end `motion.npz` and `deployment.json`.
 """

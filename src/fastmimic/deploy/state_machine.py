@@ -103,8 +103,7 @@ class StateMachine:
         return found
 
     def warm_up(self, reading: Records, rehearse: Callable[[], bool] | None = None) -> None:
-        """Runs all phases once to compile and cache everything, then steps of the motion while `rehearse` says so, and
-        begins again."""
+        """Runs all phases once to compile and cache all, then the motion while `rehearse` says so, and begins again."""
         follower, guard = self.follower, self.guard
         self.guard = Guard(self.robot, guard.limits, 1.0 / self.dt, dry=True)
         for phase in DeploymentPhase:

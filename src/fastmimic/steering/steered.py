@@ -112,8 +112,7 @@ class Steered:
             place["jump"] += np.hypot(*moved)
 
     def fill(self, rows: Records, *, scored: bool = False) -> None:
-        """Fills rows (t,) of `SAMPLE` with the reference from now on, in its root's present heading frame; `scored` or
-        not is the same."""
+        """Fills rows (t,) of `SAMPLE` with the reference from now on, in its root's heading frame, `scored` or not."""
         self._scratch[0] = self.place[0]
         fill(*self._gait.given, self._scratch[0], *self._work, rows)
 
