@@ -118,14 +118,10 @@ class StateWire:
     def __init__(self, record: NDArray[Any]) -> None:
         self.record = record
         imu, motors = record["imu_state"], record["motor_state"]
-        self._fields = [
-            ("quat", imu["quaternion"]),
-            ("gyro", imu["gyroscope"]),
-            ("accel", imu["accelerometer"]),
-            ("joint_pos", motors["q"][:, :12]),
-            ("joint_vel", motors["dq"][:, :12]),
-            ("torque", motors["tau_est"][:, :12]),
-        ]
+        of_imu = {"quat": "quaternion", "gyro": "gyroscope", "accel": "accelerometer"}
+        of_motors = {"joint_pos": "q", "joint_vel": "dq", "torque": "tau_est"}
+        self._fields = [(name, imu[wire]) for name, wire in of_imu.items()]
+        self._fields += [(name, motors[wire][:, :12]) for name, wire in of_motors.items()]
         self._rpy, self._feet, self._ticks = imu["rpy"], record["foot_force"], record["tick"]
         self._words = record.view(np.uint32).reshape(len(record), -1)
 
