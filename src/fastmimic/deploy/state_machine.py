@@ -72,10 +72,9 @@ class StateMachine:
         self._model_based = Controller(robot, [sequence.motion], 1, config)
         if follower.steered:
             self._model_based.recover_with(None)  # recovery steps would be another gait
-        own = None if policy is None else policy(robot, sequence.motion.target, 1, config)
         self._regulated = config.stance.feedback == "regulator"
-        self._own: LoopController = self._model_based if own is None else own
         self.controller: LoopController = self._model_based
+        self._own = policy(robot, sequence.motion.target, 1, config) if policy is not None else self.controller
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         self.observation = self.estimator.observation
         self._path, _ = rising_path(robot, sequence.stand)
