@@ -186,8 +186,7 @@ def deploy(
         if real_time and not refused:
             clock.spin_s = SHORT_SPIN_S
         with switch if switch is not None else StopSwitch() as hand:
-            loop = Loop(driver, machine, recorder, clock, steps, reason, hand, watch, note)
-            outcome = loop.run(on_ready)
+            outcome = Loop(driver, machine, recorder, clock, steps, reason, hand, watch, note).run(on_ready)
     rows = recorder.rows()
     found = DeploymentLog(rows, motion, meta, columns(rows).get(TRUTH))
     if lost := recorder.periods - len(rows):

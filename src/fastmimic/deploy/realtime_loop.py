@@ -54,8 +54,7 @@ class Loop:
         """Runs until the robot lies again; `on_ready` is called when all is prepared, and cancels by returning False.
         Raises `DriverError`, and nothing was sent: cancelled, no state within `FIRST_STATE_S`, or an unfit robot."""
         self._prepare()
-        agreed = on_ready is None or on_ready()
-        if not agreed or self._emergency() is not None:
+        if (on_ready is not None and not on_ready()) or self._emergency() is not None:
             raise DriverError("cancelled; nothing was sent")
         self._begin()
         self._start = self._deadline = self.clock.now() + 2 * self._dt
@@ -87,8 +86,7 @@ class Loop:
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
         self._before = replace(self.driver.packets)
         self._received = self._state.received
-        found = self.machine.begin(self._state.reading)
-        if found is not None:
+        if (found := self.machine.begin(self._state.reading)) is not None:
             raise DriverError(f"the robot is not fit to begin: {found.text}")
 
     def _follow(self) -> LoopOutcome:
