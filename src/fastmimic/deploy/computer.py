@@ -145,8 +145,7 @@ class StopSwitch:
         """Reads keys from `stream`; standard input if None."""
         self._stream = stream if stream is not None else sys.stdin
         self._file: int | None = None
-        self._saved: Any = None
-        self._handlers: dict[int, Any] = {}
+        self._undo = contextlib.ExitStack()
         self.signals, self.key, self.leave = 0, False, False
 
     def poll(self) -> None:
@@ -174,28 +173,23 @@ class StopSwitch:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._count) for number in _SIGNALS}
-        try:
+            for number in _SIGNALS:
+                self._undo.callback(signal.signal, number, signal.signal(number, self._count))
+        # there may be no terminal, or a system without
+        with contextlib.suppress(ImportError, OSError, ValueError, AttributeError):
             descriptor = self._stream.fileno()
             if os.isatty(descriptor):
                 import termios
                 import tty
 
-                self._saved = termios.tcgetattr(descriptor)
+                self._undo.callback(termios.tcsetattr, descriptor, termios.TCSADRAIN, termios.tcgetattr(descriptor))
                 tty.setcbreak(descriptor)
                 self._file = descriptor
-        except (ImportError, OSError, ValueError, AttributeError):  # no terminal, or not a system that has them
-            self._file = None
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        if self._saved is not None:
-            import termios
-
-            termios.tcsetattr(self._stream.fileno(), termios.TCSADRAIN, self._saved)
-        self._file = self._saved = None
+        self._file = None
+        self._undo.close()
 
     def _count(self, number: int, frame: FrameType | None) -> None:
         self.signals += 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array, Indices, Records
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, DeploymentError
+from fastmimic.base.errors import ConfigError, DeploymentError, check_positive
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import SHORT_SPIN_S, LoopClock, StopSwitch, VirtualClock, undisturbed
@@ -84,8 +84,8 @@ class DeployOptions:
             raise ConfigError(f"{' and '.join(given)} both say when the motion ends; give one of them")
         if self.cycles is not None and self.cycles < 1:
             raise ConfigError(f"the cycles must be at least 1, found {self.cycles}")
-        if self.duration_s is not None and not (math.isfinite(self.duration_s) and self.duration_s > 0):
-            raise ConfigError(f"the duration must be positive, found {self.duration_s}")
+        if self.duration_s is not None:
+            check_positive(self.duration_s, "the duration")
         if motion.cycle is None:
             if given:
                 raise ConfigError(f"motion '{motion.name}' does not repeat; leave out {given[0]}")
@@ -137,9 +137,8 @@ def deploy(
         watch: called after each period with the state machine and the period's record of `ROW`.
         note: takes lines for the operator.
 
-    Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that the robot cannot
-    begin or end, and, before anything is sent, `OutputError` without room for the log, and `DriverError` without a
-    robot that is fit to begin.
+    Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that cannot be begun or
+    ended; before anything is sent, `OutputError` without room for the log and `DriverError` without a fit robot.
     """
     options = options if options is not None else DeployOptions()
     method, config = options.controller(motion)
@@ -187,8 +186,7 @@ def deploy(
         if real_time and not refused:
             clock.spin_s = SHORT_SPIN_S
         with switch if switch is not None else StopSwitch() as hand:
-            loop = Loop(driver, machine, recorder, clock, steps, reason, hand, options.dry_run, watch, note)
-            outcome = loop.run(on_ready)
+            outcome = Loop(driver, machine, recorder, clock, steps, reason, hand, watch, note).run(on_ready)
     rows = recorder.rows()
     found = DeploymentLog(rows, motion, meta, columns(rows).get(TRUTH))
     if lost := recorder.periods - len(rows):
@@ -215,10 +213,9 @@ class ScoredLog:
 def score_log(
     robot: Robot, log: DeploymentLog, config: ControllerConfig, observation: Records | None = None
 ) -> ScoredLog | None:
-    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none, or
-    the robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the state in each row of
-    the log, the estimate if None. The reference starts as the controller's did and is then synchronised to these
-    states."""
+    """Scores the periods in the motion itself against its demonstration, as one episode; None if there are none, or the
+    robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the states in the log's rows,
+    the estimates if None. The reference starts as the controller's did and is then synchronised to them."""
     motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
     if log.meta.get("steered") or not len(rows):
         return None
@@ -232,14 +229,13 @@ def score_log(
     if not ((counts["sample"] >= 0) & (counts["sample"] < len(table)) & (np.abs(counts["haste"]) <= len(table))).all():
         raise DeploymentError("the log is damaged: it has samples that its motion has not")
     scorer, memory = Scorer(robot, table, 1, config, log.rate_hz), np.zeros(1, MEMORY)
-    before = counts[0]
     clocks, terms = np.zeros(len(rows), clock.dtype), []
     for i in range(len(rows)):
         if i > 0:
             # periods that are not there were left out of the reference as well
             advance_clocks(clock, table[None], seen["root_pos"][i : i + 1], counts["haste"][i - 1 : i])
-        memory["early_touchdowns"] = counts["early_touchdowns"][i] - before["early_touchdowns"]
-        memory["qp_failures"] = counts["qp_failures"][i] - before["qp_failures"]
+        for name in ("early_touchdowns", "qp_failures"):
+            memory[name] = counts[name][i] - counts[name][0]
         scorer.score(clock, seen[i : i + 1], memory)
         clocks[i] = clock[0]
         terms.append(scorer.terms[0])

@@ -1,13 +1,12 @@
-"""The files of a deployment: its log, one row per period, and the true states of a simulated robot; and the thread that
-writes them as the rows come.
+"""The files of a deployment: its log, a row per period, a simulated robot's true states, and the thread that writes.
 
 Its folder holds `log.mcap`, which grows while it runs, and in the end `motion.npz` and `deployment.json`.
 """
 
 import io
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
@@ -156,22 +155,18 @@ def is_deployment_log(path: str | Path) -> bool:
 
 
 def load_ground_truth(path: str | Path) -> Records:
-    """(t,) of `GROUND_TRUTH` as `fastmimic robot-sim --log` writes it, whole or cut off; raises `DeploymentError` for
-    another file."""
+    """(t,) of `GROUND_TRUTH` from `fastmimic robot-sim --log`, whole or cut off; `DeploymentError` for another file."""
     rows = read_log_file(Path(path), {ROBOT_SIM: GROUND_TRUTH}).rows[ROBOT_SIM]
     if not len(rows):
         raise DeploymentError(f"{path}: not a log of 'fastmimic robot-sim', or it ends before its first state")
     return rows
 
 
-@contextmanager
-def open_deployment(folder: Path) -> Iterator[None]:
-    """Prepares a folder, which must be new or empty; unchanged if the block fails before its log begins. Raises
-    `OutputError`."""
+def open_deployment(folder: Path) -> AbstractContextManager[None]:
+    """Prepares a new or empty folder; unchanged if the block fails before its log begins. Raises `OutputError`."""
     if folder.is_dir() and any(folder.iterdir()):
         raise OutputError(f"{folder} holds an earlier deployment or something else; choose another --out")
-    with created(folder):
-        yield
+    return created(folder)
 
 
 class Recorder:

@@ -206,8 +206,7 @@ class Lean:
         if np.abs(told - np.eye(3)).max() < _SHARE:
             return None
         shares = ", ".join(f"{axis} {value:.2f}" for axis, value in zip(_AXES, np.diag(told), strict=True))
-        said = f"the {what} does not turn as the legs do ({shares} of theirs)"
-        return IMU, f"{said}: turned, frozen, or in other units?"
+        return IMU, f"the {what} does not turn as the legs do ({shares} of theirs): turned, frozen, or in other units?"
 
 
 class LoadCheck:
@@ -254,5 +253,4 @@ def _joint_doubt(joints: Array, others: Array, what: str, other: str) -> Doubt |
     j = int(np.argmax(np.abs(share - 1.0)))
     if abs(share[j] - 1.0) < _SHARE:
         return None
-    said = f"{JOINT_NAMES[j]}: its {what} moved by {share[j]:.2f} of its {other}"
-    return JOINT, f"{said}: frozen, or another joint's?"
+    return JOINT, f"{JOINT_NAMES[j]}: its {what} moved by {share[j]:.2f} of its {other}: frozen, or another joint's?"

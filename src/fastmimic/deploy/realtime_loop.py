@@ -7,12 +7,14 @@ from typing import Any, Final
 from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.computer import LoopClock, Rehearsal, StopSwitch, VirtualClock
-from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, StateMessage, damping_command
+from fastmimic.deploy.driver import FIRST_STATE_S, Packets, RobotDriver, damping_command
 from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.safety import StopReason, Violation
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 
 _AT_ONCE: Final = 2  # signals that end crouching and damping early
+
+Moments = tuple[float, float, float]  # when a state was read, the command ready, and sent; s on the loop's clock
 
 
 @dataclass(frozen=True)
@@ -32,13 +34,12 @@ class Loop:
     """One run. Nothing is sent before `run`; afterwards the robot is damped or limp."""
 
     driver: RobotDriver  # open
-    machine: StateMachine  # its guard checks its commands
+    machine: StateMachine  # its guard checks its commands; in a dry run nothing is sent
     recorder: Recorder  # takes a row for each period
     clock: LoopClock  # of the deadlines and of the driver's states
     steps: float  # control steps in the motion after which it ends
     reason: StopReason  # why it ends then
     switch: StopSwitch
-    dry: bool = False  # whether nothing is sent
     watch: Callable[[StateMachine, Any], None] | None = None
     """Called at the end of each period with the machine and its record of `ROW`."""
     note: Callable[[str], None] = lambda line: None  # takes lines for the operator
@@ -53,8 +54,7 @@ class Loop:
         """Runs until the robot lies again; `on_ready` is called when all is prepared, and cancels by returning False.
         Raises `DriverError`, and nothing was sent: cancelled, no state within `FIRST_STATE_S`, or an unfit robot."""
         self._prepare()
-        agreed = on_ready is None or on_ready()
-        if not agreed or self._emergency() is not None:
+        if (on_ready is not None and not on_ready()) or self._emergency() is not None:
             raise DriverError("cancelled; nothing was sent")
         self._begin()
         self._start = self._deadline = self.clock.now() + 2 * self._dt
@@ -64,33 +64,29 @@ class Loop:
         except DriverError as error:
             return self._end(Violation(StopReason.DRIVER, str(error)))
         except BaseException:
-            if not self.dry:
+            if not self._guard.dry:
                 self.driver.write(self._damping)
             raise
 
     def _prepare(self) -> None:
-        state = self.driver.read(FIRST_STATE_S)
-        if state is None:
+        if not self._read(FIRST_STATE_S):
             if rejected := self.driver.packets.rejected:
                 raise DriverError(f"no good state of the robot within {FIRST_STATE_S:g} s: {rejected} were damaged")
             hint = "is it switched on, in low-level mode, and on this network?"
             raise DriverError(f"no state of the robot within {FIRST_STATE_S:g} s: {hint}")
         rehearsal = None if isinstance(self.clock, VirtualClock) else Rehearsal(self.clock, self._dt)
-        self.machine.warm_up(state.reading, rehearsal)
+        self.machine.warm_up(self._state.reading, rehearsal)
         if rehearsal is not None:
             self.note(rehearsal.text(self._guard.limits.stale_s))
         self._began = self._start = self._deadline = self.clock.now()
-        self._record(state, True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
+        self._record(True, DeploymentPhase.HOLD, False, self._damping, False, (0.0, 0.0, 0.0))
 
     def _begin(self) -> None:
-        state = self.driver.read(FIRST_STATE_S)
-        if state is None:
+        if not self._read(FIRST_STATE_S):
             raise DriverError(f"the robot's states stopped: none for {FIRST_STATE_S:g} s")
-        self._state = state
         self._before = replace(self.driver.packets)
         self._received = self._state.received
-        found = self.machine.begin(self._state.reading)
-        if found is not None:
+        if (found := self.machine.begin(self._state.reading)) is not None:
             raise DriverError(f"the robot is not fit to begin: {found.text}")
 
     def _follow(self) -> LoopOutcome:
@@ -164,11 +160,11 @@ class Loop:
         if violation is None:
             late = max(self._late, ready - self._deadline - self._dt)
             violation = self._guard.check_number(StopReason.OVERRUN, late)
-        send = violation is None and not self.dry
+        send = violation is None and not self._guard.dry
         if send:
             self.driver.write(command)
         done = clock.now()
-        self._record(state, fresh, phase, machine.in_motion, command, send, (read, ready, done))
+        self._record(fresh, phase, machine.in_motion, command, send, (read, ready, done))
         if done > self._deadline + self._dt:
             self._misses += 1
         self._deadline += self._dt
@@ -177,21 +173,15 @@ class Loop:
     def _read(self, timeout_s: float = 0.0) -> bool:
         """Takes the newest state; returns whether there is a new one."""
         state = self.driver.read(timeout_s)
-        self._state = self._state if state is None else state
+        if state is not None:
+            self._state = state
         return state is not None
 
     def _record(
-        self,
-        state: StateMessage,
-        fresh: bool,
-        phase: DeploymentPhase,
-        moving: bool,
-        command: Records,
-        sent: bool,
-        times: tuple[float, float, float],
+        self, fresh: bool, phase: DeploymentPhase, moving: bool, command: Records, sent: bool, times: Moments
     ) -> None:
         """Fills in the row of the period, field by field in the order of `ROW`."""
-        machine, began, (read, ready, done) = self.machine, self._began, times
+        machine, state, began, (read, ready, done) = self.machine, self._state, self._began, times
         memory, clock = machine.controller.memory, machine.follower.clock
         packets, before, received = self.driver.packets, self._before, state.received
         spans = began - self._start, self._late, read - began, ready - read, done - ready
@@ -227,11 +217,11 @@ class Loop:
 
     def _step_down(self, phase: DeploymentPhase, command: Records) -> None:
         """One period after the end: a command that needs no state."""
-        if not self.dry:
+        if not self._guard.dry:
             self.driver.write(command)
         self._began = sent = self.clock.now()
         fresh = self._read()
         times = sent, sent, self.clock.now()
-        self._record(self._state, fresh, phase, False, command, not self.dry, times)
+        self._record(fresh, phase, False, command, not self._guard.dry, times)
         self._deadline = max(self._deadline, sent) + self._dt
         self.clock.sleep_until(self._deadline)

@@ -110,7 +110,7 @@ class Follower:
             passed = 0 if way.start == STAND else round(float(live.place["position"][0])) - way.enters
             self.enter_motion(live.place["pose"][0], passed)
             return True
-        self._show_live()
+        self._show(live)
         return False
 
     def enter_motion(self, pose: Array, passed: int = 0) -> None:
@@ -141,11 +141,11 @@ class Follower:
         self.in_motion, self.tables, self.clock, self._stood = False, self._rows, self._at_row, 0
         self._live.begin(name, pose, row)
         self._live.switch(STAND)
-        self._show_live()
+        self._show(self._live)
 
-    def _show_live(self) -> None:
-        self._live.fill(self.tables[0])
-        self.clock["origin"], self.gains = self._live.place["pose"], self._live.gains[None]
+    def _show(self, reference: LiveReference | Steered) -> None:
+        reference.fill(self.tables[0])
+        self.clock["origin"], self.gains = reference.place["pose"], reference.gains[None]
 
 
 class SteeredFollower(Follower):
@@ -166,7 +166,7 @@ class SteeredFollower(Follower):
     def enter_motion(self, pose: Array, passed: int = 0) -> None:
         self.in_motion, self._stood = True, 0
         self._steered.put(*pose)
-        self._show()
+        self._show(self._steered)
 
     def advance_motion(self, observation: Records, memory: Records) -> bool:
         """A control step while it is steered; it ends in standing."""
@@ -175,14 +175,10 @@ class SteeredFollower(Follower):
         if wanted is not None:
             self.wanted = self._steered.steer(wanted)
         self._steered.advance(observation["root_pos"][0, :2], float(memory["haste"][0]))
-        self._show()
+        self._show(self._steered)
         self._stood += int(self.leaving and self._steered.place["stands"][0] == 1.0)
         self.done = self._stood > _STANDS_S * RATE_HZ
         return False
-
-    def _show(self) -> None:
-        self._steered.fill(self.tables[0])
-        self.clock["origin"], self.gains = self._steered.place["pose"], self._steered.gains[None]
 
 
 def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> MotionSequence:

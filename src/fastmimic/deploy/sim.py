@@ -2,7 +2,6 @@
 
 import heapq
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING
 from fastmimic.simulation.conditions import Conditions, episode_generator, make_world
 from fastmimic.simulation.sensors import Sensors
-from fastmimic.simulation.simulators import Simulation, make_simulation
+from fastmimic.simulation.simulators import make_simulation
 
 STARTS: Final = ("lying", "standing")
 _RATE_HZ: Final = 500.0  # of the states
@@ -70,20 +69,16 @@ class SimulatedBody:
     `fell` whether it tipped over or landed on anything but its feet at more than 0.7 m/s."""
 
     def __init__(
-        self,
-        robot: Robot,
-        simulation: Simulation,
-        sensors: Sensors,
-        rate_hz: float,
-        start: str = STARTS[0],
-        watchdog_s: float = WATCHDOG_S,
+        self, robot: Robot, conditions: Conditions, rate_hz: float, start: str, watchdog_s: float = WATCHDOG_S
     ) -> None:
-        """`simulation` and `sensors` are of this one robot, stepped at `rate_hz`. The motors damp when no command came
-        for `watchdog_s`. Raises `ConfigError` if `start` is none of `STARTS`."""
+        """It is stepped at `rate_hz`, its sensors are read at 500 Hz. The motors damp when no command came for
+        `watchdog_s`. Raises `ConfigError` if `start` is none of `STARTS`, or the simulator cannot do the conditions."""
         if start not in STARTS:
             raise ConfigError(f"a simulated robot starts {' or '.join(STARTS)}, not '{start}'")
-        self.robot, self.simulation, self.sensors = robot, simulation, sensors
-        self.observation = simulation.observation  # the same records in all steps
+        world = make_world(conditions.disturbances, 1, conditions.simulator)
+        self.robot, self.sensors = robot, Sensors(robot, 1, _RATE_HZ, conditions.sensors, world)
+        self.simulation = make_simulation(robot, 1, conditions, control_rate_hz=rate_hz)
+        self.observation = self.simulation.observation  # the same records in all steps
         self._dt, self._standing, self._watchdog_s = 1.0 / rate_hz, start == "standing", watchdog_s
         self._damping = damping_command()
 
@@ -150,11 +145,6 @@ class LinkFaults:
     def __post_init__(self) -> None:
         check(self, "link: ")
 
-    @cached_property
-    def perfect(self) -> bool:
-        """Whether messages are at most delayed."""
-        return self == LinkFaults(latency_s=self.latency_s, seed=self.seed)
-
 
 class Packet(NamedTuple):
     """A message under way: its arrival, s; its place among those of the same arrival; the sender's count; whether it
@@ -185,9 +175,7 @@ class SimulatedLink:
     def send(self, now: float, sequence: int, record: Records) -> None:
         """Sends a record (1,) at a time in s."""
         faults = self.faults
-        lost = doubled = late = flipped = nan = 1.0
-        if not faults.perfect:
-            lost, doubled, late, flipped, nan = self._rng.random(5)
+        lost, doubled, late, flipped, nan = self._rng.random(5)
         if nan < faults.not_finite:
             record = record.copy()
             record.view(np.float64)[:] = np.nan
@@ -231,13 +219,10 @@ class SimDriver(RobotDriver):
         the simulator cannot realise."""
         super().__init__(robot)
         self._clock: LoopClock = clock if clock is not None else VirtualClock()
-        self._conditions = chosen = conditions if conditions is not None else Conditions(observe="sensors")
+        self._conditions = conditions if conditions is not None else Conditions(observe="sensors")
         self._faults = faults if faults is not None else LinkFaults()
         self._dt = 1.0 / _RATE_HZ
-        simulation = make_simulation(robot, 1, chosen, control_rate_hz=_RATE_HZ)
-        world = make_world(chosen.disturbances, 1, chosen.simulator)
-        sensors = Sensors(robot, 1, _RATE_HZ, chosen.sensors, world)
-        self.body = SimulatedBody(robot, simulation, sensors, _RATE_HZ, start)
+        self.body = SimulatedBody(robot, self._conditions, _RATE_HZ, start)
         self._truth: list[bytes] = []
 
     def truth_at(self, sequence: Indices) -> Records:

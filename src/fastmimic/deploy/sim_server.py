@@ -20,10 +20,8 @@ from fastmimic.deploy.log import Recorder
 from fastmimic.deploy.sim import STARTS, WATCHDOG_S, LinkFaults, SimulatedBody, SimulatedLink
 from fastmimic.robot import Robot
 from fastmimic.robot.state import COMMAND
-from fastmimic.simulation.conditions import Disturbance, make_world
+from fastmimic.simulation.conditions import Conditions, Disturbance
 from fastmimic.simulation.config import SensorConfig
-from fastmimic.simulation.mujoco_sim import MujocoSimulation
-from fastmimic.simulation.sensors import Sensors
 from fastmimic.simulation.simulators import PHYSICS_RATE_HZ
 
 MODE: Final = "normal"  # of the active motion service
@@ -71,15 +69,13 @@ class SimCounts:
 
 
 def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
-    config = settings.sensors
-    if config is None:
+    sensors = settings.sensors
+    if sensors is None:
         usual = SensorConfig()
         names = ("imu_latency_s", "joint_latency_s", "foot_latency_s")
-        config = dataclasses.replace(usual, **{name: getattr(usual, name) - _LINK_S for name in names})
-    world = make_world(settings.disturbances, 1, "mujoco")
-    simulation = MujocoSimulation(robot, 1, settings.disturbances, control_rate_hz=PHYSICS_RATE_HZ)
-    sensors = Sensors(robot, 1, RATE_HZ, config, world)
-    body = SimulatedBody(robot, simulation, sensors, PHYSICS_RATE_HZ, settings.start, settings.watchdog_s)
+        sensors = dataclasses.replace(usual, **{name: getattr(usual, name) - _LINK_S for name in names})
+    conditions = Conditions(observe="sensors", disturbances=settings.disturbances, sensors=sensors)
+    body = SimulatedBody(robot, conditions, PHYSICS_RATE_HZ, settings.start, settings.watchdog_s)
     body.reset(np.random.default_rng(settings.seed))
     return body
 

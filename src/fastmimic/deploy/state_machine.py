@@ -72,10 +72,9 @@ class StateMachine:
         self._model_based = Controller(robot, [sequence.motion], 1, config)
         if follower.steered:
             self._model_based.recover_with(None)  # recovery steps would be another gait
-        own = None if policy is None else policy(robot, sequence.motion.target, 1, config)
         self._regulated = config.stance.feedback == "regulator"
-        self._own: LoopController = self._model_based if own is None else own
         self.controller: LoopController = self._model_based
+        self._own = policy(robot, sequence.motion.target, 1, config) if policy is not None else self.controller
         self.estimator = Estimator(robot, 1, config.rate_hz, estimator)
         self.observation = self.estimator.observation
         self._path, _ = rising_path(robot, sequence.stand)
@@ -103,8 +102,7 @@ class StateMachine:
         return found
 
     def warm_up(self, reading: Records, rehearse: Callable[[], bool] | None = None) -> None:
-        """Runs all phases once to compile and cache everything, then steps of the motion while `rehearse` says so, and
-        begins again."""
+        """Runs all phases once to compile and cache all, then the motion while `rehearse` says so, and begins again."""
         follower, guard = self.follower, self.guard
         self.guard = Guard(self.robot, guard.limits, 1.0 / self.dt, dry=True)
         for phase in DeploymentPhase:

@@ -149,12 +149,11 @@ class RunFolder:
 def open_run(
     path: Path, config: Mapping[str, Any], same: Mapping[str, Any], *, resume: bool, overwrite: bool
 ) -> Iterator[RunFolder]:
-    """Prepares a folder for a run before long work begins. If the run fails, the folder is unchanged. A folder with a
-    run of other arguments, or with an unfinished or interrupted run, is refused unless `overwrite` or `resume`. A
-    finished run of the same arguments is replaced. Until there are results, `config.json` holds `config`; `same` are
-    the arguments that must be equal for a run to be the same. Raises `ConfigError` for both `resume` and `overwrite`,
-    `CheckpointError` if there is nothing to resume from, and `OutputError` if the folder holds another run, or cannot
-    be written to."""
+    """Prepares a folder for a run before long work begins; unchanged if the run fails. One of other arguments, or an
+    unfinished or interrupted one, is refused unless `overwrite` or `resume`; a finished one of the same arguments is
+    replaced. Until there are results, `config.json` holds `config`; `same` are the arguments that make a run the same.
+    Raises `ConfigError` for both `resume` and `overwrite`, `CheckpointError` if there is nothing to resume from, and
+    `OutputError` if the folder holds another run, or cannot be written to."""
     folder = RunFolder(path)
     with created(path):
         folder.check(same, resume=resume, overwrite=overwrite)

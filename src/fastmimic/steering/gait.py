@@ -25,8 +25,7 @@ _COLUMNS: Final = (
 
 class Gait:
     """A gait of `field` at all its velocities, `n` rows a period: what kernels are `given` (the grid, values (k, n, w),
-    the schedule, gains for each velocity) and the `gains` (g,). `until` (n, 4) has the rows until a foot lands, 0 in
-    stance."""
+    the schedule, gains per velocity) and the `gains` (g,). `until` (n, 4): rows until a foot lands, 0 in stance."""
 
     def __init__(self, field: GaitField) -> None:
         n_gaits, self.n = field.rows.shape

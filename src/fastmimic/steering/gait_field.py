@@ -60,6 +60,8 @@ _SAME_CONTACT: Final = 0.97  # share of a gait's contacts that stay
 _SEEN: Final = 0.01  # m/s or rad/s
 _SAME: Final = 1e-6  # between the velocities of a passage, m/s or rad/s: all are the same
 
+Velocity = tuple[float, float, float]  # forwards, to the left, m/s, and turning to the left, rad/s
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -85,7 +87,7 @@ class Grid:
         """That of a gait for high speeds: around and up to its own one, m/s."""
         return cls((0.6 * speed, 0.8 * speed, speed), (-0.1 * speed, 0.0, 0.1 * speed), (0.8, 0.8, 0.6))
 
-    def velocities(self) -> list[tuple[float, float, float]]:
+    def velocities(self) -> list[Velocity]:
         """Those of all gaits (k = a · b · 3): turning to the right, not, and to the left."""
         pairs = zip(self.forwards, self.turning, strict=True)
         return [(x, y, side * most) for (x, most), y, side in product(pairs, self.sideways, (-1.0, 0.0, 1.0))]
@@ -281,11 +283,8 @@ def _passages(robot: Robot, clips: tuple[Clip, Clip], fields: tuple[GaitField, G
             found[f"{name} gains"] = way.gains[part["gain"][::GAIN_SAMPLES]][..., None].view("u1")
             found[f"{name} at"] = np.array([way.leave, way.arrive])
         known.keep(found, packaged=False)
-    up, down = (
-        _passage(found, name, fields[one], fields[other], speeds[one], speeds[other])
-        for name, one, other in (("up", 0, 1), ("down", 1, 0))
-    )
-    return up, down
+    (slow, fast), (slower, faster) = fields, speeds
+    return _passage(found, "up", slow, fast, slower, faster), _passage(found, "down", fast, slow, faster, slower)
 
 
 def _passage(
@@ -295,39 +294,29 @@ def _passage(
     leave, arrive = (int(row) for row in found[f"{name} at"])
     k = other.straight(after)
     then = (arrive + np.arange(other.rows.shape[1])) % other.rows.shape[1]
-    rows = np.concatenate([own, other.rows[k, then]])
-    n = len(rows)
     ahead = then[-len(own) % GAIN_SAMPLES :: GAIN_SAMPLES] // GAIN_SAMPLES
-    gains = np.concatenate([gains, other.gains[k, ahead]])
-    anywhere = np.array([0.0, _SAME])
-    field = GaitField(
-        f"{one.name} to {other.name}",
-        other.robot,
-        after + anywhere,
-        anywhere,
-        np.full(2, _SAME),
-        np.concatenate([np.broadcast_to(rows, (12, n)), np.broadcast_to(other.rows[-1, :1], (1, n))]),
-        np.concatenate(
-            [np.broadcast_to(gains, (12, len(gains))), np.broadcast_to(other.gains[-1, :1], (1, len(gains)))]
-        ),
-    )
+    rows = _anywhere(np.concatenate([own, other.rows[k, then]]), other.rows[-1, :1])
+    gains = _anywhere(np.concatenate([gains, other.gains[k, ahead]]), other.gains[-1, :1])
+    same = np.array([0.0, _SAME])
+    field = GaitField(f"{one.name} to {other.name}", other.robot, after + same, same, np.full(2, _SAME), rows, gains)
     return Passage(field, len(own), leave, arrive, before, after)
 
 
-def make_gait(
-    job: tuple[str, Clip, tuple[float, float, float]], report: Report = lambda share: None
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The rows (t,) of `COURSE` and gains (g,) of `GAINS` of a robot's gait at a velocity; if there is none, those of a
-    slower one."""
+def _anywhere(course: NDArray[Any], stand: NDArray[Any]) -> NDArray[Any]:
+    """The same (n,) at the 12 velocities of a passage, and last that of standing (1,) throughout."""
+    return np.stack([*[course] * 12, np.repeat(stand, len(course))])
+
+
+def make_gait(job: tuple[str, Clip, Velocity], report: Report) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The rows (t,) of `COURSE` and gains (g,) of `GAINS` of a robot's gait at a velocity, or at a lower one."""
     source, clip, wanted = job
     robot = load_robot(source)
     motion = motion_at(robot, clip, wanted)
     return course_of(motion, robot), motion_gains(motion, robot, RegulatorConfig())
 
 
-def motion_at(robot: Robot, clip: Clip, wanted: tuple[float, float, float]) -> Motion:
-    """A robot's executable motion of one period of a gait at a velocity; if there is none, at a lower one. Raises
-    `MotionError` if there is none at all."""
+def motion_at(robot: Robot, clip: Clip, wanted: Velocity) -> Motion:
+    """A robot's executable motion of a gait's period at a velocity, or at a lower one; raises `MotionError` if none."""
     for share in _SHARES:
         animal, _ = retarget(clip, robot, velocity=share * np.array(wanted), cycle=True, executable=False)
         motion = _executable(robot, animal)

@@ -3,13 +3,11 @@
 A foot that stands keeps its place in the world, whatever the trunk does, but for rolling as its ball does. One that
 swings leaves from there and comes to where the present mixture of gaits has it; while the robot accelerates, a little
 against that (the lean of an inverted pendulum). So the velocity can change at any moment, and no foot slides. The
-wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands as soon as all
-feet are on the ground.
+wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands when all feet do.
 
 Where a field has a slower gait that can do what is wanted, such as a walk, the robot goes over to it, and back, at the
 next moment at which the same feet stand in both. Feet go on from where they are, and what else differs fades (as in
-games: Bollo 2018, "Inertialization"). A gait that cannot be slow, such as a canter, is entered and left by the field's
-passages.
+games: Bollo 2018, "Inertialization"). A gait that cannot be slow is entered and left by the field's passages.
 """
 
 from itertools import pairwise, permutations
@@ -114,22 +112,19 @@ class Steered:
             place["jump"] += np.hypot(*moved)
 
     def fill(self, rows: Records, *, scored: bool = False) -> None:
-        """Fills rows (t,) of `SAMPLE` with the reference from now on, in its root's present heading frame; `scored` or
-        not is the same."""
+        """Fills rows (t,) of `SAMPLE` with the reference from now on, in its root's heading frame, `scored` or not."""
         self._scratch[0] = self.place[0]
         fill(*self._gait.given, self._scratch[0], *self._work, rows)
 
     def _change_gait(self) -> None:
         """Goes over to the first of the preferred gaits that has the present velocity, as soon as the same feet stand,
-        or by a passage; to a slower one only if that has what is asked for to spare, so that a trembling stick changes
-        nothing."""
+        or by a passage; to a slower one only if that has some to spare: a trembling stick changes nothing."""
         place, now, row = self.place[0], self._gait, int(self.place["position"][0])
         if self._passing is not None:
             passage, gait = self._passing
             if row >= passage.n:
                 self._passing = None
                 self._go_over(gait, (passage.arrive + row - passage.n) % gait.n)
-                place["wanted"] = gait.field.nearest(self._asked)
             return
         gait = self._next_gait(now)
         place["wanted"] = now.field.nearest(self._asked)
@@ -145,7 +140,6 @@ class Steered:
             self._pass(gait, row)
         elif (other := self._ways[gait, now][row]) >= 0:
             self._go_over(gait, other)
-            place["wanted"] = gait.field.nearest(self._asked)
 
     def _next_gait(self, now: Gait) -> Gait:
         """The first of the preferred gaits that can follow the present one, or standing."""
@@ -189,6 +183,7 @@ class Steered:
         place["offset"][FEET], place["fades"] = 0.0, 1.0
         place["away"] = feet - own[FEET]
         place["lifted"], place["leaving"] = place["away"], speed - (then - own)[FEET] * RATE_HZ
+        place["wanted"] = gait.field.nearest(self._asked)
         place["since"], place["lasts"] = 0.0, LANDED * np.maximum(gait.until[row], 1) / RATE_HZ
 
     def _values(self, place: Any) -> Array:

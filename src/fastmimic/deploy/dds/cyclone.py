@@ -74,8 +74,7 @@ def loaned(reader: int, depth: int, structure: Any, convert: Callable[[Any], T])
 
 
 def configuration(interface: str) -> str:
-    """CycloneDDS's configuration for a network interface: peers are found by port and, where
-    loopback has it, multicast on loopback; else by multicast."""
+    """CycloneDDS's configuration for an interface: peers are found by multicast, on loopback by port as well."""
     general, discovery = f'<Interfaces><NetworkInterface name="{interface}"/></Interfaces>', ""
     if interface == LOOPBACK:
         general += "<AllowMulticast>spdp</AllowMulticast>"
@@ -222,8 +221,7 @@ class Participant:
 def _endpoint(
     kind: str, participant: Participant, topic: str, message: type[Message], reliable: bool, depth: int, own: bool
 ) -> int:
-    """The handle of a new "reader" or "writer", with CDR version 1, as 0.10 writes; `own`: whether it may talk to
-    endpoints of the same participant."""
+    """A new "reader" or "writer" with CDR 1, as 0.10 writes; `own`: whether it hears and serves its own participant."""
     dds = cyclone()
     qos = dds.dds_create_qos()
     dds.dds_qset_reliability(qos, _RELIABLE if reliable else _BEST_EFFORT, 0)

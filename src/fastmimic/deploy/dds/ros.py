@@ -76,12 +76,11 @@ class RosPublisher:
         seen = row["estimate"]
         if not seen["root_quat"].any():  # the estimate begins when the robot stands
             return
-        (x, y, z), (qw, qx, qy, qz) = seen["root_pos"], seen["root_quat"]
         pose, twist, moved = self._place.message.pose.pose, self._place.message.twist.twist, self._frame.transform
-        pose.position.x, pose.position.y, pose.position.z = x, y, z
-        moved.translation.x, moved.translation.y, moved.translation.z = x, y, z
+        for place in (pose.position, moved.translation):
+            place.x, place.y, place.z = seen["root_pos"]
         for turned in (pose.orientation, moved.rotation):
-            turned.x, turned.y, turned.z, turned.w = qx, qy, qz, qw
+            turned.w, turned.x, turned.y, turned.z = seen["root_quat"]
         to_world = matrix_from_quat(seen["root_quat"])
         for vector, name in ((twist.linear, "lin_vel"), (twist.angular, "ang_vel")):
             vector.x, vector.y, vector.z = seen[name] @ to_world

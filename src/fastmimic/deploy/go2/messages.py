@@ -3,8 +3,7 @@ rt/api/SERVICE/request and …/response), with the release of its motion service
 
 Fields are those of Unitree's IDL, in `unitree.idl`; a quadruped uses the first 12 of the 20 motors. CDR's alignment
 differs from C's between nested structures; the checksum covers C's layout with its padding. Joints (FR, FL, RR, RL;
-hip, thigh, calf), their signs and the quaternion (w, x, y, z; body → world) are the project's; the IMU's axes are the
-body's.
+hip, thigh, calf), signs and quaternion (w, x, y, z; body → world) are the project's; the IMU's axes the body's.
 """
 
 import json
@@ -119,14 +118,10 @@ class StateWire:
     def __init__(self, record: NDArray[Any]) -> None:
         self.record = record
         imu, motors = record["imu_state"], record["motor_state"]
-        self._fields = [
-            ("quat", imu["quaternion"]),
-            ("gyro", imu["gyroscope"]),
-            ("accel", imu["accelerometer"]),
-            ("joint_pos", motors["q"][:, :12]),
-            ("joint_vel", motors["dq"][:, :12]),
-            ("torque", motors["tau_est"][:, :12]),
-        ]
+        of_imu = {"quat": "quaternion", "gyro": "gyroscope", "accel": "accelerometer"}
+        of_motors = {"joint_pos": "q", "joint_vel": "dq", "torque": "tau_est"}
+        self._fields = [(name, imu[wire]) for name, wire in of_imu.items()]
+        self._fields += [(name, motors[wire][:, :12]) for name, wire in of_motors.items()]
         self._rpy, self._feet, self._ticks = imu["rpy"], record["foot_force"], record["tick"]
         self._words = record.view(np.uint32).reshape(len(record), -1)
 
