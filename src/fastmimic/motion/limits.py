@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION
 from fastmimic.base.rotations import (
     quat_from_yaw,
@@ -55,11 +54,11 @@ class GroundDemand:
 
     wrench: Array
     arm: Array
-    stands: NDArray[np.bool_]
+    stands: Flags
     joint_torque: Array
 
 
-def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> GroundDemand:
+def ground_demand(robot: Robot, motion: Motion, sample: Indices) -> GroundDemand:
     """The ground wrench at samples (k,), by inverse dynamics of the whole robot, legs included."""
     quat = motion.root_quat_wxyz
     linear, angular, joint = _accelerations(motion)
@@ -104,7 +103,7 @@ class LimitUse:
     lacking: Array
 
 
-def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> LimitUse:
+def use_of_limits(robot: Robot, motion: Motion, sample: Indices) -> LimitUse:
     """What a motion uses of each limit at its samples (k,), whether or not the robot can."""
     demand = ground_demand(robot, motion, sample)
     torque, lacking = _joint_torques(robot, motion, sample, demand)
@@ -121,7 +120,7 @@ def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Lim
     )
 
 
-def _joint_torques(robot: Robot, motion: Motion, sample: NDArray[np.int_], demand: GroundDemand) -> tuple[Array, Array]:
+def _joint_torques(robot: Robot, motion: Motion, sample: Indices, demand: GroundDemand) -> tuple[Array, Array]:
     """Joint torques (k, 12), shares of their limits, and the acceleration (k, 6), m/s² and rad/s², that the feet cannot
     give: of the ground forces nearest to the demand those with the least torques. They are sums along the edges of each
     foot's friction pyramid."""

@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.rotations import (
     quat_conjugate,
     quat_continuous,
@@ -36,8 +35,8 @@ class Pose:
     root_quat_wxyz: Array  # (t, 4)
     joint_pos: Array  # (t, 12) rad
     foot_pos_b: Array  # (t, 4, 3) m, the feet of those joints
-    unreachable: NDArray[np.bool_]  # (t, 4) samples in which a leg was too short or too long
-    limited: NDArray[np.bool_]  # (t, 12) samples in which a joint was held at its limit
+    unreachable: Flags  # (t, 4) samples in which a leg was too short or too long
+    limited: Flags  # (t, 12) samples in which a joint was held at its limit
     lowered_m: float = 0.0  # distance by which the base was lowered for reach
 
 
@@ -125,9 +124,7 @@ def _root(track: TrunkTrack, height: float) -> Array:
     return np.concatenate([track.root_xy, z[:, None]], axis=1)
 
 
-def _joints(
-    robot: Robot, track: TrunkTrack, quat: Array, feet_w: Array, height: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _joints(robot: Robot, track: TrunkTrack, quat: Array, feet_w: Array, height: float) -> tuple[Array, Flags]:
     foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
     return inverse_kinematics(robot, foot_b)
 
@@ -144,7 +141,7 @@ def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
     return np.asarray(quat_rotate(quat[:, None], knee_b)[..., 2])
 
 
-def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
+def motion_of(pose: Pose, track: TrunkTrack, contact: Flags, rate_hz: float) -> Motion:
     """The motion of a pose and its contacts (t, 4), with velocities, without provenance."""
     paths = pose.root_pos_w, pose.root_quat_wxyz, pose.joint_pos
     position, quat, joint_pos = (pad(values, track.cycle is not None) for values in paths)

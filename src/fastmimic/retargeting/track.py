@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.rotations import (
     matrix_from_quat,
     planar_exp,
@@ -128,9 +127,6 @@ def extrapolate_next(samples: Array) -> Array:
 def closing_error(samples: Array) -> Array:
     """Difference (...) between the frame after the last one of (n, ...) and frame 0."""
     return extrapolate_next(samples) - samples[0]
-
-
-Indices = NDArray[np.int_]
 
 
 @dataclass(frozen=True, eq=False)
