@@ -127,10 +127,9 @@ def at_samples(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
     """The motion (t, …) at samples (t,) that may lie in later cycles, in the order of `Frames`."""
     n = motion.n_samples
     if motion.cycle is None:
-        lap, index = np.zeros_like(index), np.minimum(index, n - 1)
+        step, lap, index = np.zeros(3), np.zeros_like(index), np.minimum(index, n - 1)
     else:
-        lap, index = index // n, index % n
-    step = np.zeros(3) if motion.cycle is None else motion.cycle
+        step, lap, index = motion.cycle, index // n, index % n
     shift = np.zeros((int(lap.max()) + 1, 2))
     for k in range(1, len(shift)):
         shift[k] = shift[k - 1] + rotate_planar(np.array((k - 1) * step[2]), step[:2])

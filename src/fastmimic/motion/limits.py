@@ -35,15 +35,10 @@ def pad(values: Array, periodic: bool) -> Array:
     """Two more samples at each end of (t, ...): those of the neighbouring periods, or extrapolated quadratically."""
     if periodic:
         return np.concatenate([values[-2:], values, values[:2]])
-
-    def beyond(a: Array, b: Array, c: Array) -> Array:
-        return 3 * a - 3 * b + c
-
-    front1 = beyond(values[0], values[1], values[2])
-    front2 = beyond(front1, values[0], values[1])
-    back1 = beyond(values[-1], values[-2], values[-3])
-    back2 = beyond(back1, values[-1], values[-2])
-    return np.concatenate([[front2, front1], values, [back1, back2]])
+    for _ in range(2):
+        before, after = (3 * a - 3 * b + c for a, b, c in (values[:3], values[:-4:-1]))
+        values = np.concatenate([[before], values, [after]])
+    return values
 
 
 @dataclass(frozen=True, eq=False)

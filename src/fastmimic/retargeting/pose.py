@@ -57,17 +57,16 @@ def solve_pose(
         limits = np.maximum(lower - q, 0) + np.maximum(q - upper, 0)
         return float(limits.sum() + np.sum(~reachable) + knees.sum()), float(folded.sum() + knees.sum())
 
-    best: tuple[float, float] | None = None
+    least, best = np.inf, 0.0
     up = round(max_raising / _STEP_M) if violation_at(0.0)[1] > 0 else 0
     steps = np.arange(-up, round(config.max_lowering_m / _STEP_M) + 1)
     for lowering in _STEP_M * steps[np.argsort(np.abs(steps), kind="stable")]:
         violation = violation_at(lowering)[0]
-        if best is None or violation < best[0]:
-            best = (violation, float(lowering))
+        if violation < least:
+            least, best = violation, float(lowering)
         if violation == 0:
             break
-    assert best is not None
-    return replace(pose_at(robot, track, feet_w, height - best[1], (lower, upper)), lowered_m=best[1])
+    return replace(pose_at(robot, track, feet_w, height - best, (lower, upper)), lowered_m=best)
 
 
 def folding_rise(

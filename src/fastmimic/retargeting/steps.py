@@ -14,14 +14,7 @@ from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
 from fastmimic.retargeting.feet import MIN_CLEARANCE_SHARE, Reach, foot_offsets, footholds, plant_feet
 from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
-from fastmimic.retargeting.track import (
-    ScaledClip,
-    cycle_displacement,
-    extract,
-    pose_mismatch,
-    step_times,
-    track_of,
-)
+from fastmimic.retargeting.track import ScaledClip, cycle_displacement, extract, pose_mismatch, step_times, track_of
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import length_ratio
 
