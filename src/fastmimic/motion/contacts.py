@@ -45,9 +45,8 @@ def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic:
     """Activity of each foot, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
 
     It is the larger of height above the leg's own ground (`toe_height`, (t, 4), m) and horizontal world speed
-    (`toe_speed`, (t, 4), m/s), each relative to its largest value nearby in time. Relative measures do not depend on
-    the animal's size or gait, and find slow steps beside fast ones. A foot that rests stands, though its toe may be
-    higher than in the middle of a step.
+    (`toe_speed`, (t, 4), m/s), each relative to its largest value nearby in time. Relative measures suit any animal and
+    gait, and find slow steps beside fast ones. A foot that rests stands, though its toe may be higher than in a step.
     """
     from scipy.ndimage import maximum_filter1d
 

@@ -5,8 +5,7 @@ DeepMimic's (`Wrap`): its last frame is its first, moved by the cycle. `amp` has
 loader reads, feet and velocities in the body frame. Velocities of bodies are those of their frames, in world axes.
 `motion-lib` leaves out the pickle and the `pose_aa` of PHC's and ASAP's libraries, which is of their skeletons.
 
-Joints are about the common axes in `deepmimic` and `csv`, which name their robot or are read back here, and about the
-model file's own in the others.
+Joints are about the common axes in `deepmimic` and `csv`, which are read back here, else about the model file's own.
 """
 
 import io

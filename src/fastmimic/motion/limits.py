@@ -88,8 +88,8 @@ def _accelerations(motion: Motion) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
-    """How much of each limit a motion uses at k instants, (k,) each; `friction` is NaN without a foot
-    on the ground, `lacking` (k, 6) is the acceleration that the standing feet cannot give, m/s² and rad/s²."""
+    """How much of each limit a motion uses at k instants, (k,) each; `friction` is NaN without a foot on the ground,
+    `lacking` (k, 6) is the acceleration that the standing feet cannot give, m/s² and rad/s²."""
 
     joint_speed: Array
     torque: Array
@@ -117,8 +117,7 @@ def use_of_limits(robot: Robot, motion: Motion, sample: Indices) -> LimitUse:
 
 def _joint_torques(robot: Robot, motion: Motion, sample: Indices, demand: GroundDemand) -> tuple[Array, Array]:
     """Joint torques (k, 12), shares of their limits, and the acceleration (k, 6), m/s² and rad/s², that the feet cannot
-    give: of the ground forces nearest to the demand those with the least torques. They are sums along the edges of each
-    foot's friction pyramid."""
+    give: of the ground forces, in their friction pyramids, nearest to the demand those with the least torques."""
     from scipy.optimize import nnls
 
     weight = robot.mass * GRAVITY

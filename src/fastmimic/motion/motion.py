@@ -161,8 +161,7 @@ class Motion:
             raise error(f"{said}: retarget its clip with that rate")
 
     def save(self, path: str | Path | BinaryIO) -> None:
-        """Writes an `.npz` without pickles, to a stream, or to a file, which is replaced only when complete; raises
-        `OutputError`."""
+        """Writes an `.npz` without pickles to a stream or a file, replaced only when complete; raises `OutputError`."""
         arrays: dict[str, Any] = _to_arrays(self)
         if self.demonstration is not None:
             arrays |= {_DEMONSTRATION + k: v for k, v in _to_arrays(self.demonstration).items()}

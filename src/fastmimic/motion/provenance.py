@@ -103,8 +103,7 @@ class ClipOrigin(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class RetargetBound:
-    """A bound within which a motion counts as the animal's, and why it is not kept; a file has no value where it could
-    not be measured."""
+    """A bound within which a motion counts as the animal's, and why it is not kept; `value` is None if unknown."""
 
     name: str
     value: float | None

@@ -260,8 +260,7 @@ class MotionDmp:
         """The motion with baselines or goals g (24,) and amplitudes a (24,); None keeps the fitted g or a = 1.
 
         Joints come from inverse kinematics, contacts and demonstration from the fitted motion. Feet out of reach are
-        brought back and counted in `provenance.dmp`. Raises `MotionError` for a parameter array of another shape, or
-        with a value that is not finite.
+        brought back and counted in `provenance.dmp`. Raises `MotionError` for another shape or a value not finite.
         """
         goal = _finite("goal", self.goal if goal is None else goal)
         amplitude = _finite("amplitude", self.amplitude if amplitude is None else amplitude)

@@ -151,8 +151,7 @@ def world_feet(robot: Robot, pose: Array) -> Array:
 
 class Animal:
     """A clip's points on the ground in its own heading frame, scaled as in retargeting: `points` (t, 10, 3) keypoints,
-    m, from the ground under the middle of neck and pelvis. `motion`, made of the clip, may have another length; it is
-    then run through to its end."""
+    m, from the ground under the middle of neck and pelvis. A `motion` of another length is run through to its end."""
 
     def __init__(self, clip: Clip, robot: Robot, motion: Motion) -> None:
         self.scale = choose_scale(clip, robot)

@@ -1,5 +1,4 @@
-"""The steps of retargeting, on one object; the last turns a track into a kinematic motion of the robot: feet planted,
-joints within their ranges."""
+"""The steps of retargeting, on one object, up to the robot's kinematic motion: feet planted, joints in their ranges."""
 
 from dataclasses import replace
 from typing import Final
@@ -40,8 +39,7 @@ class Retargeting:
     the clip's `duration`, s; `activity` and `detected` (n, 4) are the feet's, and their contacts; `track` has trunk
     and toes on its grid; `stances` and `changes` are the contact schedule and its changes; `offset` (4, 2) constant
     shifts of the feet against the hips, m; `raw_w` (n, 4, 3) the animal's foot paths under the track, world, with z
-    the height above the ground, m; `pose` and `motion` the robot's with its feet planted, the motion without
-    provenance.
+    the height above the ground, m; `pose` and `motion` (without provenance) the robot's with its feet planted.
     """
 
     def __init__(

@@ -70,9 +70,8 @@ def require_viser() -> None:
 
 def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> tuple[Array, Array]:
     """A camera's place and what it looks at, (3,) scene coordinates, m: from the robot's front right, high enough to
-    see the ground under its feet, with everything in the picture. The robot's size sets the distance; `beside` are the
-    places of robots and animal, m to the left of the middle; `yaw` is the heading at the start, rad; `aspect` width
-    over height of the picture."""
+    see the ground under its feet, with everything in the picture. `beside` are the places of robots and animal, m to
+    the left of the middle; `yaw` is the heading at the start, rad; `aspect` the picture's width over its height."""
     span = float(np.ptp(robot.hip_pos_b[:, 0])) + robot.leg_length
     alone = len(beside) == 1
     across = 0.0 if alone else max(beside) - min(beside)
