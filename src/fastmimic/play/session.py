@@ -232,10 +232,8 @@ class LiveSession:
     @property
     def control_us(self) -> tuple[float, float]:
         """Median and 99th percentile of the last few thousand control steps' durations, µs."""
-        if not self._control_s:
-            return 0.0, 0.0
-        found = np.percentile(np.array(self._control_s), (50, 99)) * 1e6
-        return float(found[0]), float(found[1])
+        median, p99 = np.percentile(self._control_s or [0.0], (50, 99)) * 1e6
+        return float(median), float(p99)
 
     def snapshot(self) -> Snapshot:
         obs, truth, memory, up = self.observation, self._truth[0], self.controller.memory[0], not self.fallen

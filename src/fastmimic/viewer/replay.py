@@ -15,7 +15,7 @@ from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.tracks import poses_of
 from fastmimic.robot import Robot
-from fastmimic.viewer.scene import LAYERS, line_up
+from fastmimic.viewer.scene import line_up
 from fastmimic.viewer.take import Take, cycle_rows, rollout_take
 from fastmimic.viewer.viewer import FRAMES_PER_S, Cameras, WebPage
 
@@ -41,7 +41,7 @@ def recorded(e: "RerunEpisodes") -> str:
         server = page.server
         robots = line_up(server, takes, names=names)
         for name, scene in zip(names, robots, strict=True):
-            for layer in LAYERS:
+            for layer in scene.layers:
                 scene.set_layer(layer, layer in SHOWN)
             # the robot stays in its place: its title need not move, which labels do late on a slow machine
             above = (0.0, scene.aside, e.robot.home_height + 0.6 * e.robot.leg_length)

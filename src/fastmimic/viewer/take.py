@@ -15,6 +15,8 @@ from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.clips.clip import KEYPOINTS
+from fastmimic.control.config import ControllerConfig
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal, motion_track, rollout_track, world_feet
 from fastmimic.robot import Robot
@@ -22,10 +24,6 @@ from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
-
-    from fastmimic.control.config import ControllerConfig
-    from fastmimic.episode.rollout import Rollout
-
 
 TRAIL_S: Final = 1.0
 _SMOOTHED_S: Final = 0.35
@@ -92,7 +90,7 @@ class Take:
 
 
 def rollout_take(
-    rollout: "Rollout", motion: Motion, robot: Robot, config: "ControllerConfig", title: str = "", episode: int = 0
+    rollout: Rollout, motion: Motion, robot: Robot, config: ControllerConfig, title: str = "", episode: int = 0
 ) -> Take:
     """An episode with its log, falls included."""
     log = rollout.course
