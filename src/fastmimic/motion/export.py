@@ -115,9 +115,8 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     before = np.floor(at + 1e-9).astype(np.int64)
     share = np.clip(at - before, 0.0, 1.0)
     first, second = at_samples(motion, before), at_samples(motion, before + (share > 0))
+    second[1] = np.where(np.sum(first[1] * second[1], axis=1, keepdims=True) < 0, -second[1], second[1])
     mixed = [(1 - share[:, None]) * a + share[:, None] * b for a, b in zip(first, second, strict=True)]
-    quat = np.where(np.sum(first[1] * second[1], axis=1, keepdims=True) < 0, -second[1], second[1])
-    mixed[1] = (1 - share[:, None]) * first[1] + share[:, None] * quat  # neighbours at the motion's rate
     mixed[1] = quat_continuous(mixed[1] / np.linalg.norm(mixed[1], axis=1, keepdims=True))
     return Frames(fps, *mixed)
 

@@ -158,8 +158,6 @@ class LiveSession:
         self._loaded = self._given.release_force(robot)
         self.reset()
 
-    # requests
-
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
         if not isinstance(self.reference, LiveReference):
@@ -203,8 +201,6 @@ class LiveSession:
         """Lets the robot go limp, as after a fall."""
         if self._recovery.phase is GettingUpPhase.DONE:
             self._has_fallen()
-
-    # state
 
     @property
     def observation(self) -> Any:
@@ -265,8 +261,6 @@ class LiveSession:
             turn_rate=float(obs["ang_vel"][2]),
             push=self.world.force.copy(),
         )
-
-    # simulation
 
     def prepare(self) -> None:
         """Begins to make what may be needed next, in the background."""

@@ -214,7 +214,7 @@ class MotionDmp:
 
     Attributes:
         fitted, robot: the fitted motion and its robot.
-        primitive: the DMPs, dimensions in the order of `names`.
+        primitive: the DMPs, dimensions in the order of `NAMES`.
         twist: the planar motion of a cycle, removed before fitting and restored afterwards.
         fit_rms: root-mean-square fit error of each group of dimensions; the name ends with the unit.
     """
@@ -251,7 +251,7 @@ class MotionDmp:
         return np.ones(len(NAMES))
 
     def index(self, name: str) -> int:
-        """Position of a dimension in `names`; `MotionError` if there is none."""
+        """Position of a dimension in `NAMES`; `MotionError` if there is none."""
         if name not in NAMES:
             raise MotionError(f"no DMP is called '{name}'{did_you_mean(name, NAMES)}")
         return NAMES.index(name)

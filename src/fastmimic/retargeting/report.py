@@ -1,7 +1,7 @@
 """What retargeting changed: figures of the animal and of the robot, which show whether it is still the same motion."""
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -83,7 +83,7 @@ class RetargetReport:
     starts from."""
 
     def as_dict(self) -> dict[str, Any]:
-        return plain(asdict(self))
+        return plain(self)
 
     def lines(self) -> list[str]:
         """The report for a human."""

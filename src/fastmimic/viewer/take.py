@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import GRAVITY
@@ -249,8 +250,6 @@ def bone_segments(points: Array) -> Array:
 
 def smoothed_path(take: Take) -> Array:
     """The robot's path (t, 2) on the ground without sway, for the view, m."""
-    from scipy.ndimage import gaussian_filter1d
-
     return np.asarray(gaussian_filter1d(take.pose[:, :2], _SMOOTHED_S * take.rate_hz, axis=0, mode="nearest"))
 
 
