@@ -62,8 +62,7 @@ def render_video(
     """Writes a video of up to four tracks: one alone, two side by side, three or four as 2 x 2.
 
     Args:
-        robot: the robot of all tracks.
-        tracks: one for each panel; a shorter one holds its last pose.
+        robot, tracks: a robot, and what it does in each panel; a shorter track holds its last pose.
         path: the `.mp4` (H.264), `.webm` (VP9) or `.gif` to write; replaced only by a complete video.
         rate_hz: samples a second of the tracks.
         fps: frames a second of the video; if None 30, or a GIF's 20.
