@@ -208,11 +208,10 @@ class PlayPage(WebPage):
         moment = time.monotonic()
         with self.pacer.lock:
             take, plot = self.history.take(), self.history.plot()
-        charts = moment - self._charts_at >= 1.0 / _CHARTS_PER_S
         with self.server.atomic():
             self.scene.set_take(take)
             self.scene.show(take.rows - 1, follow=self.panel.follow)
-            if charts:
+            if moment - self._charts_at >= 1.0 / _CHARTS_PER_S:
                 self.panel.show(take, plot)
                 self._charts_at = moment
 

@@ -182,9 +182,8 @@ def _robot_figures(work: Retargeting) -> MotionFigures:
 
 def _travel_of_source(source: ScaledClip, periodic: bool) -> tuple[float, float]:
     """Mean speed and heading change of the scaled animal, over one cycle or from the first frame to the last."""
-    steps = np.diff(source.root_xy, axis=0)
     middle = 0.5 * (source.heading[1:] + source.heading[:-1])
-    local = rotate_planar(-middle, steps)
+    local = rotate_planar(-middle, np.diff(source.root_xy, axis=0))
     if periodic:
         local = np.concatenate([local, 0.5 * (local[:1] + local[-1:])])
     turn = cycle_displacement(source)[2] if periodic else source.heading[-1] - source.heading[0]
@@ -231,9 +230,8 @@ def closure_of_motion(motion: Motion, track: TrunkTrack) -> tuple[float, float]:
     repeated = np.concatenate([track.moved(points[0, :, :2], 1), points[0, :, 2:]], axis=1)
     continued = points[-3] - 3 * points[-2] + 3 * points[-1]
     distance = max(float(np.linalg.norm(apart)) for apart in continued - repeated)
-    last = motion.root_quat_wxyz[-1]
     turn = (1.5 * motion.root_ang_vel_w[-1] - 0.5 * motion.root_ang_vel_w[-2]) * motion.dt
-    ahead_quat = quat_multiply(quat_from_rotvec(turn), last)
+    ahead_quat = quat_multiply(quat_from_rotvec(turn), motion.root_quat_wxyz[-1])
     repeated_quat = quat_multiply(quat_from_yaw(motion.cycle[2]), motion.root_quat_wxyz[0])
     angle = np.linalg.norm(rotvec_from_quat(quat_multiply(ahead_quat, quat_conjugate(repeated_quat))))
     return distance, float(np.degrees(angle))

@@ -169,8 +169,7 @@ def whether_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: Re
     if seconds > config.longest_cycle_s:
         return False, f"a passage that is run once ({seconds:.1f} s; cycles are up to {config.longest_cycle_s:g} s)"
     mismatch = pose_mismatch(source)
-    short = seconds < config.short_s
-    limit = config.short_mismatch if short else config.cycle_mismatch
+    limit = config.short_mismatch if seconds < config.short_s else config.cycle_mismatch
     found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
     closes = mismatch <= limit
     return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"
