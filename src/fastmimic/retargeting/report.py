@@ -250,7 +250,6 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
     turning = turning_radius_m * math.radians(abs(before.yaw_deg)) / before.period_s
     scale = max(math.hypot(before.speed_m_per_s, turning), SLOW_M_PER_S)
     speed = abs(after.speed_m_per_s - before.speed_m_per_s) / scale
-    yaw = abs(after.yaw_deg - before.yaw_deg)
     lifts = zip(before.clearance_m, after.clearance_m, strict=True)
     clearance = min((b / max(a, 1e-3) for a, b in lifts if b > 0), default=1.0)
     duty = max(abs(a - b) for a, b in zip(before.duty, after.duty, strict=True))
@@ -262,7 +261,7 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
         _at_most("cycle closure, m", after.closure_m, MAX_CLOSURE_M, held),
         _at_most("cycle closure, deg", after.closure_deg, MAX_CLOSURE_DEG, ""),
         _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed"),
-        _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
+        _at_most("yaw change, deg", abs(after.yaw_deg - before.yaw_deg), MAX_YAW_CHANGE_DEG, ""),
         RetargetBound(lift, clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""),
         _at_most("duty change", duty, MAX_DUTY_CHANGE, ", ".join(report.changes.reasons())),
         _at_most(_JOINT_SPEED, joint_speed, 1.0, "the animal's legs move faster than the motors can"),
