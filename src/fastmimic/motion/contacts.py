@@ -5,9 +5,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, stretches
 from fastmimic.base.configuration import tabulated
 
 
@@ -46,9 +45,8 @@ def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic:
     """Activity of each foot, (t, 4): 0 at rest on the ground, about 1 in mid-swing.
 
     It is the larger of height above the leg's own ground (`toe_height`, (t, 4), m) and horizontal world speed
-    (`toe_speed`, (t, 4), m/s), each relative to its largest value nearby in time. Relative measures do not depend on
-    the animal's size or gait, and find slow steps beside fast ones. A foot that rests stands, though its toe may be
-    higher than in the middle of a step.
+    (`toe_speed`, (t, 4), m/s), each relative to its largest value nearby in time. Relative measures suit any animal and
+    gait, and find slow steps beside fast ones. A foot that rests stands, though its toe may be higher than in a step.
     """
     from scipy.ndimage import maximum_filter1d
 
@@ -63,9 +61,7 @@ def foot_activity(toe_height: Array, toe_speed: Array, rate_hz: float, periodic:
     return np.maximum(config.height_weight * height, relative(toe_speed, config.least_speed_m_per_s))
 
 
-def _resting(
-    toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig
-) -> NDArray[np.bool_]:
+def _resting(toe_height: Array, toe_speed: Array, rate_hz: float, periodic: bool, config: ContactConfig) -> Flags:
     """Whether a foot (t, 4) does not move for a while, near the ground."""
     from scipy.ndimage import binary_opening
 
@@ -88,7 +84,7 @@ def detect(activity: Array, rate_hz: float, periodic: bool, config: ContactConfi
     return legs
 
 
-def stances_of(on: NDArray[np.bool_], periodic: bool) -> list[Stance]:
+def stances_of(on: Flags, periodic: bool) -> list[Stance]:
     """The stances in a boolean series (t,)."""
     found = [Stance(a, b) for a, b in stretches(on)]
     if periodic and len(found) > 1 and on[0] and on[-1]:
@@ -97,7 +93,7 @@ def stances_of(on: NDArray[np.bool_], periodic: bool) -> list[Stance]:
     return found
 
 
-def contact_mask(stances: Stances, n: int) -> NDArray[np.bool_]:
+def contact_mask(stances: Stances, n: int) -> Flags:
     """Contact (n, legs), True in stance."""
     on = np.zeros((n, len(stances)), dtype=bool)
     for leg, spans in enumerate(stances):
@@ -123,7 +119,7 @@ def swings_of(spans: list[Stance], n: int, periodic: bool) -> list[tuple[int, in
     return [swing for swing in swings if swing[1] > swing[0]]
 
 
-def swung(contact: NDArray[np.bool_], periodic: bool) -> Array:
+def swung(contact: Flags, periodic: bool) -> Array:
     """Share of each leg's swing that is over, of a motion with contact (n, legs): in [0, 1), and 0 in stance."""
     share = np.zeros(contact.shape)
     for leg, down in enumerate(contact.T):
@@ -132,19 +128,18 @@ def swung(contact: NDArray[np.bool_], periodic: bool) -> Array:
     return share
 
 
-def swing_tops(contact: NDArray[np.bool_], height: Array, periodic: bool) -> list[tuple[int, float]]:
+def swing_tops(contact: Flags, height: Array, periodic: bool) -> list[tuple[int, float]]:
     """Touch-down sample and greatest height, m, of each swing of one foot with contact (n,) and height (n,). Without
     `periodic`, a swing that the end cuts off does not count."""
-    n = len(contact)
     first = int(contact.argmax()) if periodic else 0  # starts in a stance, so that no swing is cut in two
     swings = stances_of(np.roll(~contact, -first), periodic=False)
     rolled = np.roll(height, -first)
     if not contact.any():
         return []
-    return [(b + first, float(rolled[a:b].max())) for a, b in swings if periodic or b < n]
+    return [(b + first, float(rolled[a:b].max())) for a, b in swings if periodic or b < len(contact)]
 
 
-def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> NDArray[np.bool_]:
+def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> Flags:
     on = np.empty(len(series), dtype=bool)
     state = bool(series[0] < config.enter)
     for _ in range(2 if periodic else 1):  # the second pass starts from the state at the seam
@@ -154,7 +149,7 @@ def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> NDArray
     return on
 
 
-def _without_short(on: NDArray[np.bool_], value: bool, shortest: int, periodic: bool) -> NDArray[np.bool_]:
+def _without_short(on: Flags, value: bool, shortest: int, periodic: bool) -> Flags:
     """Inverts runs of `value` shorter than `shortest` that the recording's ends do not cut off."""
     result = on.copy()
     for start, end in stances_of(on == value, periodic):

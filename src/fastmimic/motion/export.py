@@ -5,8 +5,7 @@ DeepMimic's (`Wrap`): its last frame is its first, moved by the cycle. `amp` has
 loader reads, feet and velocities in the body frame. Velocities of bodies are those of their frames, in world axes.
 `motion-lib` leaves out the pickle and the `pose_aa` of PHC's and ASAP's libraries, which is of their skeletons.
 
-Joints are about the common axes in `deepmimic` and `csv`, which name their robot or are read back here, and about the
-model file's own in the others.
+Joints are about the common axes in `deepmimic` and `csv`, which are read back here, else about the model file's own.
 """
 
 import io
@@ -116,9 +115,8 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     before = np.floor(at + 1e-9).astype(np.int64)
     share = np.clip(at - before, 0.0, 1.0)
     first, second = at_samples(motion, before), at_samples(motion, before + (share > 0))
+    second[1] = np.where(np.sum(first[1] * second[1], axis=1, keepdims=True) < 0, -second[1], second[1])
     mixed = [(1 - share[:, None]) * a + share[:, None] * b for a, b in zip(first, second, strict=True)]
-    quat = np.where(np.sum(first[1] * second[1], axis=1, keepdims=True) < 0, -second[1], second[1])
-    mixed[1] = (1 - share[:, None]) * first[1] + share[:, None] * quat  # neighbours at the motion's rate
     mixed[1] = quat_continuous(mixed[1] / np.linalg.norm(mixed[1], axis=1, keepdims=True))
     return Frames(fps, *mixed)
 
@@ -127,10 +125,9 @@ def at_samples(motion: Motion, index: NDArray[np.int64]) -> list[Array]:
     """The motion (t, …) at samples (t,) that may lie in later cycles, in the order of `Frames`."""
     n = motion.n_samples
     if motion.cycle is None:
-        lap, index = np.zeros_like(index), np.minimum(index, n - 1)
+        step, lap, index = np.zeros(3), np.zeros_like(index), np.minimum(index, n - 1)
     else:
-        lap, index = index // n, index % n
-    step = np.zeros(3) if motion.cycle is None else motion.cycle
+        step, lap, index = motion.cycle, index // n, index % n
     shift = np.zeros((int(lap.max()) + 1, 2))
     for k in range(1, len(shift)):
         shift[k] = shift[k - 1] + rotate_planar(np.array((k - 1) * step[2]), step[:2])

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION
 from fastmimic.base.rotations import (
     quat_from_yaw,
@@ -36,15 +35,10 @@ def pad(values: Array, periodic: bool) -> Array:
     """Two more samples at each end of (t, ...): those of the neighbouring periods, or extrapolated quadratically."""
     if periodic:
         return np.concatenate([values[-2:], values, values[:2]])
-
-    def beyond(a: Array, b: Array, c: Array) -> Array:
-        return 3 * a - 3 * b + c
-
-    front1 = beyond(values[0], values[1], values[2])
-    front2 = beyond(front1, values[0], values[1])
-    back1 = beyond(values[-1], values[-2], values[-3])
-    back2 = beyond(back1, values[-1], values[-2])
-    return np.concatenate([[front2, front1], values, [back1, back2]])
+    for _ in range(2):
+        before, after = (3 * a - 3 * b + c for a, b, c in (values[:3], values[:-4:-1]))
+        values = np.concatenate([[before], values, [after]])
+    return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +49,11 @@ class GroundDemand:
 
     wrench: Array
     arm: Array
-    stands: NDArray[np.bool_]
+    stands: Flags
     joint_torque: Array
 
 
-def ground_demand(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> GroundDemand:
+def ground_demand(robot: Robot, motion: Motion, sample: Indices) -> GroundDemand:
     """The ground wrench at samples (k,), by inverse dynamics of the whole robot, legs included."""
     quat = motion.root_quat_wxyz
     linear, angular, joint = _accelerations(motion)
@@ -94,8 +88,8 @@ def _accelerations(motion: Motion) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class LimitUse:
-    """How much of each limit a motion uses at k instants, (k,) each; `friction` is NaN without a foot
-    on the ground, `lacking` (k, 6) is the acceleration that the standing feet cannot give, m/s² and rad/s²."""
+    """How much of each limit a motion uses at k instants, (k,) each; `friction` is NaN without a foot on the ground,
+    `lacking` (k, 6) is the acceleration that the standing feet cannot give, m/s² and rad/s²."""
 
     joint_speed: Array
     torque: Array
@@ -104,7 +98,7 @@ class LimitUse:
     lacking: Array
 
 
-def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> LimitUse:
+def use_of_limits(robot: Robot, motion: Motion, sample: Indices) -> LimitUse:
     """What a motion uses of each limit at its samples (k,), whether or not the robot can."""
     demand = ground_demand(robot, motion, sample)
     torque, lacking = _joint_torques(robot, motion, sample, demand)
@@ -121,10 +115,9 @@ def use_of_limits(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> Lim
     )
 
 
-def _joint_torques(robot: Robot, motion: Motion, sample: NDArray[np.int_], demand: GroundDemand) -> tuple[Array, Array]:
+def _joint_torques(robot: Robot, motion: Motion, sample: Indices, demand: GroundDemand) -> tuple[Array, Array]:
     """Joint torques (k, 12), shares of their limits, and the acceleration (k, 6), m/s² and rad/s², that the feet cannot
-    give: of the ground forces nearest to the demand those with the least torques. They are sums along the edges of each
-    foot's friction pyramid."""
+    give: of the ground forces, in their friction pyramids, nearest to the demand those with the least torques."""
     from scipy.optimize import nnls
 
     weight = robot.mass * GRAVITY

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
 from fastmimic.base.errors import ConfigError, FastMimicError, MotionError
 from fastmimic.base.files import from_json, read_arrays, replace_file
@@ -53,15 +53,15 @@ class Motion:
     """
 
     rate_hz: float
-    root_pos_w: NDArray[np.float64]
-    root_quat_wxyz: NDArray[np.float64]
-    joint_pos: NDArray[np.float64]
-    joint_vel: NDArray[np.float64]
-    foot_pos_b: NDArray[np.float64]
-    contact: NDArray[np.bool_]
-    root_lin_vel_w: NDArray[np.float64]
-    root_ang_vel_w: NDArray[np.float64]
-    cycle: NDArray[np.float64] | None = None
+    root_pos_w: Array
+    root_quat_wxyz: Array
+    joint_pos: Array
+    joint_vel: Array
+    foot_pos_b: Array
+    contact: Flags
+    root_lin_vel_w: Array
+    root_ang_vel_w: Array
+    cycle: Array | None = None
     provenance: Provenance = field(default_factory=Provenance)
     demonstration: "Motion | None" = None
     parts: "tuple[Motion, ...]" = ()
@@ -75,7 +75,7 @@ class Motion:
             raise MotionError(f"a motion needs at least 2 samples, found {n}")
         for name, tail in ARRAYS.items():
             dtype = np.bool_ if name == "contact" else np.float64
-            array: NDArray[Any] = np.array(getattr(self, name), dtype=dtype)
+            array: Any = np.array(getattr(self, name), dtype=dtype)
             if array.shape != (n, *tail):
                 raise MotionError(f"{name} has shape {array.shape}; expected {(n, *tail)}")
             if (wrong := ~(np.abs(array) <= LARGEST)).any():
@@ -127,12 +127,12 @@ class Motion:
         return f"<Motion {self.name} for {self.provenance.robot}: {kind}, {self.about}>"
 
     @property
-    def foot_pos_w(self) -> NDArray[np.float64]:
+    def foot_pos_w(self) -> Array:
         """Centres of the feet (t, 4, 3), world, m."""
         return self.root_pos_w[:, None] + quat_rotate(self.root_quat_wxyz[:, None], self.foot_pos_b)
 
     @property
-    def cycle_starts(self) -> NDArray[np.int64]:
+    def cycle_starts(self) -> Indices:
         """Samples at which a cycle starts: the first, and those that a stitched motion records."""
         later = self.provenance.stitch.cycle_starts if self.provenance.stitch is not None else ()
         return np.array([0, *(i for i in later if 0 < i < self.n_samples)], dtype=np.int64)
@@ -161,8 +161,7 @@ class Motion:
             raise error(f"{said}: retarget its clip with that rate")
 
     def save(self, path: str | Path | BinaryIO) -> None:
-        """Writes an `.npz` without pickles, to a stream, or to a file, which is replaced only when complete; raises
-        `OutputError`."""
+        """Writes an `.npz` without pickles to a stream or a file, replaced only when complete; raises `OutputError`."""
         arrays: dict[str, Any] = _to_arrays(self)
         if self.demonstration is not None:
             arrays |= {_DEMONSTRATION + k: v for k, v in _to_arrays(self.demonstration).items()}

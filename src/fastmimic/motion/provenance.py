@@ -6,9 +6,8 @@ from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.errors import MotionError
 
 _Kind = TypeVar("_Kind")
@@ -22,7 +21,7 @@ class Span:
     end: int
     stands: bool = True
 
-    def smooth_step(self, sample: NDArray[np.int_]) -> Array:
+    def smooth_step(self, sample: Indices) -> Array:
         """Blend weight (k,) at samples (k,): from 0 to 1 by a polynomial with continuous second derivative."""
         u = np.clip((sample - self.start) / max(self.end - self.start, 1), 0.0, 1.0)
         return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
@@ -104,8 +103,7 @@ class ClipOrigin(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class RetargetBound:
-    """A bound within which a motion counts as the animal's, and why it is not kept; a file has no value where it could
-    not be measured."""
+    """A bound within which a motion counts as the animal's, and why it is not kept; `value` is None if unknown."""
 
     name: str
     value: float | None

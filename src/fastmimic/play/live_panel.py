@@ -116,9 +116,8 @@ class PlayPanel(Panel):
         for name, (least, most) in zip(_VELOCITY, reference.field.ends().T.round(2).tolist(), strict=True):
             self._sliders[name] = self._gui.add_slider(name, least, most, 0.05, 0.0)
             self._sliders[name].on_update(lambda _event: self._steer())
-        stop = self._gui.add_button("Stop", hint="stand")
 
-        @stop.on_click
+        @self._gui.add_button("Stop", hint="stand").on_click
         def _(_event: Any) -> None:
             for slider in self._sliders.values():
                 slider.value = 0.0

@@ -33,8 +33,8 @@ _TRIES: Final = 3
 
 
 class LiveWorld:
-    """The ground and the trunk's load of one simulated robot: coefficient of `friction` between every foot and the
-    ground, and `payload_kg` at the trunk's centre of mass, unknown to the controller."""
+    """The ground of one simulated robot, its coefficient of `friction` with every foot, and what is done to the trunk:
+    pushes, and a payload at its centre of mass, unknown to the controller."""
 
     def __init__(self, simulation: MujocoSimulation) -> None:
         model, self.trunk = simulation.model, simulation.trunk
@@ -46,7 +46,7 @@ class LiveWorld:
         self._own_mass = float(model.body_mass[self.trunk])
         self._push = np.zeros(3)
         self._push_steps = 0
-        self.friction, self.payload_kg = GROUND_FRICTION, 0.0
+        self.friction = GROUND_FRICTION
 
     def push(self, impulse: float, direction: float, yaw: float = 0.0) -> None:
         """Pushes the trunk's centre of mass horizontally, for `PUSH_S` from now, by an impulse of 0 … `MAX_IMPULSE`
@@ -80,7 +80,6 @@ class LiveWorld:
             raise ConfigError(f"the payload must be 0 to {MAX_PAYLOAD_KG:g} kg, found {mass_kg:g}")
         self._mass[0, self.trunk] = self._own_mass + mass_kg
         self._batch.set_const()
-        self.payload_kg = mass_kg
 
 
 class GettingUpPhase(Enum):

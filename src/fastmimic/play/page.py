@@ -12,6 +12,8 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.play.live_panel import PlayPanel
+from fastmimic.play.session import LiveSession, Snapshot
+from fastmimic.steering.commands import Commands
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.scene import RobotScene
 from fastmimic.viewer.take import TRAIL_POINTS, TRAIL_S, Take
@@ -19,9 +21,6 @@ from fastmimic.viewer.viewer import DEFAULT_PORT, FRAMES_PER_S, IDLE_S, Cameras,
 
 if TYPE_CHECKING:
     import viser
-
-    from fastmimic.play.session import LiveSession, Snapshot
-    from fastmimic.steering.commands import Commands
 
 CHUNK_S: Final = 0.01  # between checks of the clock, at least
 MOST_BEHIND_S: Final = 0.05  # delay that is caught up; the real-time factor shows the rest
@@ -45,7 +44,7 @@ class Pacer:
     session elsewhere. `pace` is simulated time per second, ≤ 1; `realtime_factor` the share reached in `WINDOW_S`. The
     velocities that come to `commands` steer the session."""
 
-    def __init__(self, session: "LiveSession", commands: "Commands | None" = None) -> None:
+    def __init__(self, session: LiveSession, commands: Commands | None = None) -> None:
         self.session, self._commands = session, commands
         self.lock = threading.RLock()
         self.paused = False
@@ -94,7 +93,7 @@ class Pacer:
 class LiveHistory:
     """Collects snapshots of a session at `RATE_HZ`; not thread-safe."""
 
-    def __init__(self, session: "LiveSession") -> None:
+    def __init__(self, session: LiveSession) -> None:
         self._session = session
         self.every = max(1, round(session.rate_hz / RATE_HZ))  # control steps between two snapshots
         self.rate_hz = session.rate_hz / self.every
@@ -126,7 +125,7 @@ class LiveHistory:
         self._count += 1
 
     @property
-    def now(self) -> "Snapshot":
+    def now(self) -> Snapshot:
         return self._rows[-1]
 
     def push(self, within_s: float) -> Array | None:
@@ -139,7 +138,7 @@ class LiveHistory:
         on, left, turning, reward = np.mean(values, axis=0).tolist()
         return on, left, turning, reward
 
-    def _last(self, seconds: float) -> "list[Snapshot]":
+    def _last(self, seconds: float) -> list[Snapshot]:
         return self._rows[-max(1, round(seconds * self.rate_hz)) :]
 
     def take(self) -> Take:
@@ -194,7 +193,7 @@ class PlayPage(WebPage):
     too, if there are any; raises as `WebPage`."""
 
     def __init__(
-        self, session: "LiveSession", heading: str, port: int = DEFAULT_PORT, commands: "Commands | None" = None
+        self, session: LiveSession, heading: str, port: int = DEFAULT_PORT, commands: Commands | None = None
     ) -> None:
         super().__init__(port)
         self.session = session
@@ -209,11 +208,10 @@ class PlayPage(WebPage):
         moment = time.monotonic()
         with self.pacer.lock:
             take, plot = self.history.take(), self.history.plot()
-        charts = moment - self._charts_at >= 1.0 / _CHARTS_PER_S
         with self.server.atomic():
             self.scene.set_take(take)
             self.scene.show(take.rows - 1, follow=self.panel.follow)
-            if charts:
+            if moment - self._charts_at >= 1.0 / _CHARTS_PER_S:
                 self.panel.show(take, plot)
                 self._charts_at = moment
 

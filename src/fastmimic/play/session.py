@@ -158,8 +158,6 @@ class LiveSession:
         self._loaded = self._given.release_force(robot)
         self.reset()
 
-    # requests
-
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
         if not isinstance(self.reference, LiveReference):
@@ -204,8 +202,6 @@ class LiveSession:
         if self._recovery.phase is GettingUpPhase.DONE:
             self._has_fallen()
 
-    # state
-
     @property
     def observation(self) -> Any:
         """The robot's state, one of `OBSERVATION`."""
@@ -232,10 +228,8 @@ class LiveSession:
     @property
     def control_us(self) -> tuple[float, float]:
         """Median and 99th percentile of the last few thousand control steps' durations, µs."""
-        if not self._control_s:
-            return 0.0, 0.0
-        found = np.percentile(np.array(self._control_s), (50, 99)) * 1e6
-        return float(found[0]), float(found[1])
+        median, p99 = np.percentile(self._control_s or [0.0], (50, 99)) * 1e6
+        return float(median), float(p99)
 
     def snapshot(self) -> Snapshot:
         obs, truth, memory, up = self.observation, self._truth[0], self.controller.memory[0], not self.fallen
@@ -267,8 +261,6 @@ class LiveSession:
             turn_rate=float(obs["ang_vel"][2]),
             push=self.world.force.copy(),
         )
-
-    # simulation
 
     def prepare(self) -> None:
         """Begins to make what may be needed next, in the background."""

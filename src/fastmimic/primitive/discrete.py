@@ -116,8 +116,7 @@ class DiscreteDmp:
         return 0.5 * np.append(gap, gap[-1]) ** -2.0
 
     def course(self, n_samples: int) -> Terms:
-        """The terms at `n_samples` (at least 2) evenly spaced times from start to end: `pull` is 0 at the start, about
-        1 at the end."""
+        """The terms at `n_samples` (at least 2) evenly spaced times; `pull` is 0 at the start, about 1 at the end."""
         rest, pull = self._unforced(n_samples)
         weights = self.weights.T * (self.duration_s / self.tau_s) ** 2  # time is in units of T here
         return Terms(rest, pull, _course(self, weights, n_samples))
@@ -135,8 +134,7 @@ class DiscreteDmp:
 
 
 def _basis(x: Array, centres: Array, widths: Array) -> Array:
-    """ψᵢ/Σψ at phases (...) → (..., n) of functions with centres and widths (n,); beyond the last function, that
-    function alone."""
+    """ψᵢ/Σψ at phases (...) → (..., n) of functions with centres and widths (n,); beyond the last one, that alone."""
     exponent = -widths * (x[..., None] - centres) ** 2
     psi = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return psi / psi.sum(axis=-1, keepdims=True)
@@ -174,8 +172,7 @@ def _acting(dmp: DiscreteDmp, window: _Window, steps: int) -> tuple[Array, Array
 
 
 def _course(dmp: DiscreteDmp, weights: Array, n_samples: int) -> Array:
-    """Response (t, d) from rest to the forcing of weights (n, d). The spring is advanced exactly, the forcing by
-    quadrature."""
+    """Response (t, d) from rest to the forcing of weights (n, d): the spring's is exact, the forcing's a quadrature."""
     windows, finer = _windows(dmp, n_samples)
     steps = windows[-1].last
     out, rate = np.zeros((steps + 1, weights.shape[1])), np.zeros(weights.shape[1])

@@ -214,7 +214,7 @@ class MotionDmp:
 
     Attributes:
         fitted, robot: the fitted motion and its robot.
-        primitive: the DMPs, dimensions in the order of `names`.
+        primitive: the DMPs, dimensions in the order of `NAMES`.
         twist: the planar motion of a cycle, removed before fitting and restored afterwards.
         fit_rms: root-mean-square fit error of each group of dimensions; the name ends with the unit.
     """
@@ -251,7 +251,7 @@ class MotionDmp:
         return np.ones(len(NAMES))
 
     def index(self, name: str) -> int:
-        """Position of a dimension in `names`; `MotionError` if there is none."""
+        """Position of a dimension in `NAMES`; `MotionError` if there is none."""
         if name not in NAMES:
             raise MotionError(f"no DMP is called '{name}'{did_you_mean(name, NAMES)}")
         return NAMES.index(name)
@@ -260,8 +260,7 @@ class MotionDmp:
         """The motion with baselines or goals g (24,) and amplitudes a (24,); None keeps the fitted g or a = 1.
 
         Joints come from inverse kinematics, contacts and demonstration from the fitted motion. Feet out of reach are
-        brought back and counted in `provenance.dmp`. Raises `MotionError` for a parameter array of another shape, or
-        with a value that is not finite.
+        brought back and counted in `provenance.dmp`. Raises `MotionError` for another shape or a value not finite.
         """
         goal = _finite("goal", self.goal if goal is None else goal)
         amplitude = _finite("amplitude", self.amplitude if amplitude is None else amplitude)

@@ -125,8 +125,7 @@ def _distinct(centres: Array) -> list[tuple[Array, NDArray[np.intp]]]:
 
 
 def _fine_basis(centres: Array) -> Array:
-    """The basis functions (m, n) with centres (n,) at evenly spaced phases, fine enough that the spectrum of the
-    narrowest one vanishes before m/2."""
+    """Basis functions (m, n) with centres (n,) at m even phases: the narrowest one's spectrum vanishes before m/2."""
     closest = float(np.min(np.diff(centres, append=centres[0] + 2 * np.pi)))
     m = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the FFT
     return normalised_basis(2 * np.pi * np.arange(m) / m, centres, basis_widths(centres))

@@ -22,7 +22,6 @@ MUTED: Final = "#6b6b6b"
 STANCE: Final = "#e9e9e6"
 LIMIT: Final = "#b03060"
 
-
 Dash = str | tuple[float, tuple[float, ...]]
 
 

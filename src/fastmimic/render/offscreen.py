@@ -67,8 +67,7 @@ class Offscreen:
     def draw(self, scenes: Sequence[mujoco.MjvScene], columns: int) -> NDArray[np.uint8]:
         """The scenes in a grid of so many columns, row by row: (height, width, 3), first row on top."""
         self._gl.make_current()
-        cells = grid_cells(len(scenes), self.width, self.height, columns)
-        for i, (left, top, right, bottom) in enumerate(cells):
+        for i, (left, top, right, bottom) in enumerate(grid_cells(len(scenes), self.width, self.height, columns)):
             rect = mujoco.MjrRect(left, self.height - bottom, right - left, bottom - top)
             if i < len(scenes):
                 mujoco.mjr_render(rect, scenes[i], self._context)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError
+from fastmimic.base.errors import ConfigError, check_positive
 from fastmimic.base.machine import available_cores
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, encoded, encoder_arguments
 from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
@@ -62,8 +62,7 @@ def render_video(
     """Writes a video of up to four tracks: one alone, two side by side, three or four as 2 x 2.
 
     Args:
-        robot: the robot of all tracks.
-        tracks: one for each panel; a shorter one holds its last pose.
+        robot, tracks: a robot, and what it does in each panel; a shorter track holds its last pose.
         path: the `.mp4` (H.264), `.webm` (VP9) or `.gif` to write; replaced only by a complete video.
         rate_hz: samples a second of the tracks.
         fps: frames a second of the video; if None 30, or a GIF's 20.
@@ -89,8 +88,7 @@ def render_video(
     size = size if size is not None else (GIF_SIZE if gif else quality.size)
     columns = columns if columns is not None else min(len(tracks), 2)
     for name, value in (("rate_hz", rate_hz), ("fps", fps), ("slow_motion", slow_motion)):
-        if not (np.isfinite(value) and value > 0):
-            raise ConfigError(f"{name} must be positive, found {value:g}")
+        check_positive(value, name, shown=f"{value:g}")
     if not 1 <= columns <= len(tracks):
         raise ConfigError(f"{len(tracks)} panels cannot stand in {columns} columns")
     count = max(1, round(max(len(track.pose) for track in tracks) / rate_hz * (fps * slow_motion)))

@@ -87,9 +87,8 @@ def build_video_scene(
     tile: float = TILE_M,
     terrain: Terrain | None = None,
 ) -> VideoScene:
-    """Puts a robot, and a translucent ghost of it if wanted, on a checkered ground with tiles of `tile` m, in a picture
-    of `size`, width and height in pixels. `floor` are the lowest and highest x and y that the robots reach, (2, 2) m;
-    `terrain` is the ground, flat if None."""
+    """Puts a robot, and if wanted its ghost, on a checkered ground with tiles of `tile` m, flat or a `terrain`, in a
+    picture of `size`, width and height in pixels. `floor` (2, 2) is the least and greatest x and y of the robots, m."""
     spec = _studio(size, quality)
     if terrain is None:
         _add_ground(spec, floor, quality, tile)

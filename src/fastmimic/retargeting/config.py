@@ -25,8 +25,7 @@ class RetargetConfig:
     differentiation would amplify. The published retargeting levels the lateral axis before it builds the trunk's
     rotation, which leaves half of the roll: shoulders and hips roll more than the trunk between them. As published
     (Peng et al. 2020), feet stand 0.05 m outside the A1's abduction axes, and its base is 0.06 m below the scaled
-    neck–pelvis line. That line runs 0.045 m above the hips; toe markers and foot radius add the rest of `crouch_m`, and
-    reach 0.01 m.
+    neck–pelvis line, which runs 0.045 m above the hips. Toe markers and foot radius add to `crouch_m`, reach 0.01 m.
     """
 
     trunk_hz: float = 6.0

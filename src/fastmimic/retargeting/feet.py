@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.configuration import tabulated
 from fastmimic.base.conventions import LEFT
 from fastmimic.base.rotations import rotate_planar
@@ -218,7 +217,7 @@ def footholds(raw_w: Array, track: TrunkTrack, stances: Stances, reach: Reach, l
     return result
 
 
-def _into_reach(hold: Array, leg: int, trunk: Array, track: TrunkTrack, when: NDArray[np.int_], reach: Reach) -> Array:
+def _into_reach(hold: Array, leg: int, trunk: Array, track: TrunkTrack, when: Indices, reach: Reach) -> Array:
     """The displacement (2,), world, that brings a foothold into reach of a trunk (k, 3): x, y, z above its mean."""
     heading = track.heading_at(when)
     local = rotate_planar(-heading, hold - trunk[:, :2]) - reach.hips[leg]

@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.rotations import (
     quat_conjugate,
     quat_continuous,
@@ -36,8 +35,8 @@ class Pose:
     root_quat_wxyz: Array  # (t, 4)
     joint_pos: Array  # (t, 12) rad
     foot_pos_b: Array  # (t, 4, 3) m, the feet of those joints
-    unreachable: NDArray[np.bool_]  # (t, 4) samples in which a leg was too short or too long
-    limited: NDArray[np.bool_]  # (t, 12) samples in which a joint was held at its limit
+    unreachable: Flags  # (t, 4) samples in which a leg was too short or too long
+    limited: Flags  # (t, 12) samples in which a joint was held at its limit
     lowered_m: float = 0.0  # distance by which the base was lowered for reach
 
 
@@ -58,17 +57,16 @@ def solve_pose(
         limits = np.maximum(lower - q, 0) + np.maximum(q - upper, 0)
         return float(limits.sum() + np.sum(~reachable) + knees.sum()), float(folded.sum() + knees.sum())
 
-    best: tuple[float, float] | None = None
+    least, best = np.inf, 0.0
     up = round(max_raising / _STEP_M) if violation_at(0.0)[1] > 0 else 0
     steps = np.arange(-up, round(config.max_lowering_m / _STEP_M) + 1)
     for lowering in _STEP_M * steps[np.argsort(np.abs(steps), kind="stable")]:
         violation = violation_at(lowering)[0]
-        if best is None or violation < best[0]:
-            best = (violation, float(lowering))
+        if violation < least:
+            least, best = violation, float(lowering)
         if violation == 0:
             break
-    assert best is not None
-    return replace(pose_at(robot, track, feet_w, height - best[1], (lower, upper)), lowered_m=best[1])
+    return replace(pose_at(robot, track, feet_w, height - best, (lower, upper)), lowered_m=best)
 
 
 def folding_rise(
@@ -125,9 +123,7 @@ def _root(track: TrunkTrack, height: float) -> Array:
     return np.concatenate([track.root_xy, z[:, None]], axis=1)
 
 
-def _joints(
-    robot: Robot, track: TrunkTrack, quat: Array, feet_w: Array, height: float
-) -> tuple[Array, NDArray[np.bool_]]:
+def _joints(robot: Robot, track: TrunkTrack, quat: Array, feet_w: Array, height: float) -> tuple[Array, Flags]:
     foot_b = quat_rotate_inverse(quat[:, None], feet_w - _root(track, height)[:, None])
     return inverse_kinematics(robot, foot_b)
 
@@ -144,7 +140,7 @@ def _knee_height(robot: Robot, quat: Array, joints: Array) -> Array:
     return np.asarray(quat_rotate(quat[:, None], knee_b)[..., 2])
 
 
-def motion_of(pose: Pose, track: TrunkTrack, contact: NDArray[np.bool_], rate_hz: float) -> Motion:
+def motion_of(pose: Pose, track: TrunkTrack, contact: Flags, rate_hz: float) -> Motion:
     """The motion of a pose and its contacts (t, 4), with velocities, without provenance."""
     paths = pose.root_pos_w, pose.root_quat_wxyz, pose.joint_pos
     position, quat, joint_pos = (pad(values, track.cycle is not None) for values in paths)

@@ -1,7 +1,7 @@
 """What retargeting changed: figures of the animal and of the robot, which show whether it is still the same motion."""
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -83,7 +83,7 @@ class RetargetReport:
     starts from."""
 
     def as_dict(self) -> dict[str, Any]:
-        return plain(asdict(self))
+        return plain(self)
 
     def lines(self) -> list[str]:
         """The report for a human."""
@@ -182,9 +182,8 @@ def _robot_figures(work: Retargeting) -> MotionFigures:
 
 def _travel_of_source(source: ScaledClip, periodic: bool) -> tuple[float, float]:
     """Mean speed and heading change of the scaled animal, over one cycle or from the first frame to the last."""
-    steps = np.diff(source.root_xy, axis=0)
     middle = 0.5 * (source.heading[1:] + source.heading[:-1])
-    local = rotate_planar(-middle, steps)
+    local = rotate_planar(-middle, np.diff(source.root_xy, axis=0))
     if periodic:
         local = np.concatenate([local, 0.5 * (local[:1] + local[-1:])])
     turn = cycle_displacement(source)[2] if periodic else source.heading[-1] - source.heading[0]
@@ -231,9 +230,8 @@ def closure_of_motion(motion: Motion, track: TrunkTrack) -> tuple[float, float]:
     repeated = np.concatenate([track.moved(points[0, :, :2], 1), points[0, :, 2:]], axis=1)
     continued = points[-3] - 3 * points[-2] + 3 * points[-1]
     distance = max(float(np.linalg.norm(apart)) for apart in continued - repeated)
-    last = motion.root_quat_wxyz[-1]
     turn = (1.5 * motion.root_ang_vel_w[-1] - 0.5 * motion.root_ang_vel_w[-2]) * motion.dt
-    ahead_quat = quat_multiply(quat_from_rotvec(turn), last)
+    ahead_quat = quat_multiply(quat_from_rotvec(turn), motion.root_quat_wxyz[-1])
     repeated_quat = quat_multiply(quat_from_yaw(motion.cycle[2]), motion.root_quat_wxyz[0])
     angle = np.linalg.norm(rotvec_from_quat(quat_multiply(ahead_quat, quat_conjugate(repeated_quat))))
     return distance, float(np.degrees(angle))
@@ -252,7 +250,6 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
     turning = turning_radius_m * math.radians(abs(before.yaw_deg)) / before.period_s
     scale = max(math.hypot(before.speed_m_per_s, turning), SLOW_M_PER_S)
     speed = abs(after.speed_m_per_s - before.speed_m_per_s) / scale
-    yaw = abs(after.yaw_deg - before.yaw_deg)
     lifts = zip(before.clearance_m, after.clearance_m, strict=True)
     clearance = min((b / max(a, 1e-3) for a, b in lifts if b > 0), default=1.0)
     duty = max(abs(a - b) for a, b in zip(before.duty, after.duty, strict=True))
@@ -264,7 +261,7 @@ def with_bounds(report: RetargetReport, turning_radius_m: float) -> RetargetRepo
         _at_most("cycle closure, m", after.closure_m, MAX_CLOSURE_M, held),
         _at_most("cycle closure, deg", after.closure_deg, MAX_CLOSURE_DEG, ""),
         _at_most("speed change, share", speed, MAX_SPEED_CHANGE, "the path was smoothed"),
-        _at_most("yaw change, deg", yaw, MAX_YAW_CHANGE_DEG, ""),
+        _at_most("yaw change, deg", abs(after.yaw_deg - before.yaw_deg), MAX_YAW_CHANGE_DEG, ""),
         RetargetBound(lift, clearance, MIN_CLEARANCE_SHARE, not low, held if low else ""),
         _at_most("duty change", duty, MAX_DUTY_CHANGE, ", ".join(report.changes.reasons())),
         _at_most(_JOINT_SPEED, joint_speed, 1.0, "the animal's legs move faster than the motors can"),

@@ -19,7 +19,6 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ClipError, check_positive
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
@@ -105,8 +104,7 @@ def choose_scale(clip: Clip, robot: Robot) -> float:
 def _leg_length(clip: Clip) -> float:
     """An animal's leg length by how far its legs reach, m; the dog's of `DOG_SCALE` if it is about as large. Legs that
     reach less far may be folded, so that a small animal has a short trunk as well."""
-    hips = np.stack([clip.point(f"{leg}_hip") for leg in LEGS], axis=1)
-    reach = np.percentile(np.linalg.norm(clip.toes_w - hips, axis=-1), 95, axis=0)
+    reach = np.percentile(np.linalg.norm(clip.toes_w - clip.hips_w, axis=-1), 95, axis=0)
     own = reach.max() / _REACH
     trunk = np.median(np.linalg.norm(clip.point("neck") - clip.point("pelvis"), axis=1))
     large, small = own > _OWN_SIZE * DOG_LEG_LENGTH_M, own < DOG_LEG_LENGTH_M / _OWN_SIZE

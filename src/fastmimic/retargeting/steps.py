@@ -1,5 +1,4 @@
-"""The steps of retargeting, on one object; the last turns a track into a kinematic motion of the robot: feet planted,
-joints within their ranges."""
+"""The steps of retargeting, on one object, up to the robot's kinematic motion: feet planted, joints in their ranges."""
 
 from dataclasses import replace
 from typing import Final
@@ -14,14 +13,7 @@ from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.contact_schedule import ScheduleChanges, make_consistent, with_steps
 from fastmimic.retargeting.feet import MIN_CLEARANCE_SHARE, Reach, foot_offsets, footholds, plant_feet
 from fastmimic.retargeting.pose import folding_rise, motion_of, solve_pose
-from fastmimic.retargeting.track import (
-    ScaledClip,
-    cycle_displacement,
-    extract,
-    pose_mismatch,
-    step_times,
-    track_of,
-)
+from fastmimic.retargeting.track import ScaledClip, cycle_displacement, extract, pose_mismatch, step_times, track_of
 from fastmimic.robot import Robot
 from fastmimic.robot.robot import length_ratio
 
@@ -47,8 +39,7 @@ class Retargeting:
     the clip's `duration`, s; `activity` and `detected` (n, 4) are the feet's, and their contacts; `track` has trunk
     and toes on its grid; `stances` and `changes` are the contact schedule and its changes; `offset` (4, 2) constant
     shifts of the feet against the hips, m; `raw_w` (n, 4, 3) the animal's foot paths under the track, world, with z
-    the height above the ground, m; `pose` and `motion` the robot's with its feet planted, the motion without
-    provenance.
+    the height above the ground, m; `pose` and `motion` (without provenance) the robot's with its feet planted.
     """
 
     def __init__(
@@ -178,8 +169,7 @@ def whether_cycle(clip: Clip, source: ScaledClip, cycle: bool | None, config: Re
     if seconds > config.longest_cycle_s:
         return False, f"a passage that is run once ({seconds:.1f} s; cycles are up to {config.longest_cycle_s:g} s)"
     mismatch = pose_mismatch(source)
-    short = seconds < config.short_s
-    limit = config.short_mismatch if short else config.cycle_mismatch
+    limit = config.short_mismatch if seconds < config.short_s else config.cycle_mismatch
     found = f"its ends differ by {mismatch:.2f} of the spread of its poses; limit {limit:.2f} for this length"
     closes = mismatch <= limit
     return closes, f"taken as one cycle ({found})" if closes else f"not a cycle ({found})"

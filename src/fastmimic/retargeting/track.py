@@ -7,12 +7,11 @@ sine series), which keeps value and slope at both ends.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.rotations import (
     matrix_from_quat,
     planar_exp,
@@ -24,6 +23,8 @@ from fastmimic.base.rotations import (
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.contacts import Stance, Stances
 from fastmimic.motion.motion import Motion
+
+_FILTER_ORDER: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +94,6 @@ def extract(clip: Clip, scale: float, roll_share: float) -> ScaledClip:
     )
 
 
-_FILTER_ORDER = 4
-
-
 def resample_periodic(samples: Array, rate_hz: float, n_out: int, cutoff_hz: float) -> Array:
     """Low-passed samples (n_out, ...), evenly over one period, from (n, ...) at times i / rate_hz. `cutoff_hz` is the
     half-power frequency of the zero-phase filter (Butterworth, fourth order, forwards and backwards)."""
@@ -128,9 +126,6 @@ def extrapolate_next(samples: Array) -> Array:
 def closing_error(samples: Array) -> Array:
     """Difference (...) between the frame after the last one of (n, ...) and frame 0."""
     return extrapolate_next(samples) - samples[0]
-
-
-Indices = NDArray[np.int_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +163,7 @@ class TrunkTrack:
 
     def moved(self, points_w: Array, cycles: int) -> Array:
         """World points (..., 2) moved by a number of cycles, backwards if negative."""
-        if self.cycle is None:
-            raise ValueError("a motion without a cycle does not repeat")
+        assert self.cycle is not None, "a motion without a cycle does not repeat"
         origin, angle = self.root_xy[0], self.cycle[2]
         step = rotate_planar(self.heading[0], self.cycle[:2])
         for _ in range(abs(cycles)):
@@ -186,8 +180,7 @@ class TrunkTrack:
         What the trunk does about its mean motion stays, and the feet under it in the middle of their stances: both are
         taken from the frame that moves with the own mean twist, exp(share · ξ), to that which moves with the new one.
         """
-        if self.cycle is None:
-            raise ValueError("a motion without a cycle has no mean twist")
+        assert self.cycle is not None, "a motion without a cycle has no mean twist"
         n, own = len(self.heading), planar_log(self.cycle)
         share = np.arange(n) / n
         ahead = float(np.mean(self.heading - own[2] * share))

@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -176,18 +177,14 @@ def charts_window(gui: "viser.GuiApi", title: str) -> Any:
 def add_layer_boxes(gui: "viser.GuiApi", robots: Sequence[RobotScene], hidden: Sequence[str] = ()) -> None:
     """A check box for each layer of the first robot; the `hidden` ones are hidden at first."""
 
-    def add(layer: str) -> None:
-        box = gui.add_checkbox(LAYERS[layer], layer not in hidden)
-
-        def update(_event: Any = None) -> None:
-            for scene in robots:
-                scene.set_layer(layer, bool(box.value))
-
-        box.on_update(update)
-        update()
+    def show(layer: str, box: Any, _event: Any = None) -> None:
+        for scene in robots:
+            scene.set_layer(layer, bool(box.value))
 
     for layer in robots[0].layers:
-        add(layer)
+        box = gui.add_checkbox(LAYERS[layer], layer not in hidden)
+        box.on_update(partial(show, layer, box))
+        show(layer, box)
 
 
 def reward_plot(gui: "viser.GuiApi", data: Any, series: Any, height: int, *, legend: bool) -> Any:

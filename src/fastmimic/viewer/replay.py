@@ -15,7 +15,7 @@ from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.episode.reward import REWARD_TERMS, reward_weights
 from fastmimic.render.tracks import poses_of
 from fastmimic.robot import Robot
-from fastmimic.viewer.scene import LAYERS, line_up
+from fastmimic.viewer.scene import line_up
 from fastmimic.viewer.take import Take, cycle_rows, rollout_take
 from fastmimic.viewer.viewer import FRAMES_PER_S, Cameras, WebPage
 
@@ -30,18 +30,17 @@ def recorded(e: "RerunEpisodes") -> str:
     """One self-contained page, viser's client and a recording of its scene, with the robot before and after side by
     side. They repeat their episodes, up to `LONGEST_S`; the shorter one stays at its end. While recording, a server
     runs on loopback. Raises `ConfigError` as `WebPage`."""
-    motions = (e.motion.target, e.motion)
     labels = ["" if e.after is None else key.label for *_, key in e.series]
     takes = [
         rollout_take(rollout, motion, e.robot, e.config, label)
-        for (rollout, *_), motion, label in zip(e.series, motions, labels, strict=False)
+        for (rollout, *_), motion, label in zip(e.series, (e.motion.target, e.motion), labels, strict=False)
     ]
     names = [label.partition(":")[0] or "robot" for label in labels]  # in the scene tree
     with WebPage() as page:
         server = page.server
         robots = line_up(server, takes, names=names)
         for name, scene in zip(names, robots, strict=True):
-            for layer in LAYERS:
+            for layer in scene.layers:
                 scene.set_layer(layer, layer in SHOWN)
             # the robot stays in its place: its title need not move, which labels do late on a slow machine
             above = (0.0, scene.aside, e.robot.home_height + 0.6 * e.robot.leg_length)

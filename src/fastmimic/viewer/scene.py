@@ -127,9 +127,8 @@ class RobotScene:
         return marks.smoothed_path(take)
 
     def set_layer(self, layer: str, visible: bool) -> None:
-        """Shows or hides one of `LAYERS`."""
-        if layer in self._groups:
-            self._groups[layer].visible = visible
+        """Shows or hides one of `layers`, those of `LAYERS` that this robot has."""
+        self._groups[layer].visible = visible
 
     def set_opacity(self, opacity: float | None) -> None:
         """Sets the robot's opacity; None for opaque."""

@@ -10,11 +10,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, rotate_planar, yaw_from_quat
 from fastmimic.clips.clip import KEYPOINTS
+from fastmimic.control.config import ControllerConfig
+from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.motion import Motion
 from fastmimic.render.tracks import Animal, motion_track, rollout_track, world_feet
 from fastmimic.robot import Robot
@@ -22,10 +25,6 @@ from fastmimic.simulation.terrain import Terrain
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
-
-    from fastmimic.control.config import ControllerConfig
-    from fastmimic.episode.rollout import Rollout
-
 
 TRAIL_S: Final = 1.0
 _SMOOTHED_S: Final = 0.35
@@ -92,7 +91,7 @@ class Take:
 
 
 def rollout_take(
-    rollout: "Rollout", motion: Motion, robot: Robot, config: "ControllerConfig", title: str = "", episode: int = 0
+    rollout: Rollout, motion: Motion, robot: Robot, config: ControllerConfig, title: str = "", episode: int = 0
 ) -> Take:
     """An episode with its log, falls included."""
     log = rollout.course
@@ -251,8 +250,6 @@ def bone_segments(points: Array) -> Array:
 
 def smoothed_path(take: Take) -> Array:
     """The robot's path (t, 2) on the ground without sway, for the view, m."""
-    from scipy.ndimage import gaussian_filter1d
-
     return np.asarray(gaussian_filter1d(take.pose[:, :2], _SMOOTHED_S * take.rate_hz, axis=0, mode="nearest"))
 
 

@@ -20,15 +20,14 @@ import numpy as np
 from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import optional
+from fastmimic.render.tracks import Animal
 from fastmimic.robot import Robot
 from fastmimic.viewer.panel import ViewerPanel
 from fastmimic.viewer.scene import animal_aside, line_up
+from fastmimic.viewer.take import Take
 
 if TYPE_CHECKING:
     import viser
-
-    from fastmimic.render.tracks import Animal
-    from fastmimic.viewer.take import Take
 
 HOST: Final = "127.0.0.1"
 DEFAULT_PORT: Final = 8080
@@ -70,9 +69,8 @@ def require_viser() -> None:
 
 def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: float = 1.6) -> tuple[Array, Array]:
     """A camera's place and what it looks at, (3,) scene coordinates, m: from the robot's front right, high enough to
-    see the ground under its feet, with everything in the picture. The robot's size sets the distance; `beside` are the
-    places of robots and animal, m to the left of the middle; `yaw` is the heading at the start, rad; `aspect` width
-    over height of the picture."""
+    see the ground under its feet, with everything in the picture. `beside` are the places of robots and animal, m to
+    the left of the middle; `yaw` is the heading at the start, rad; `aspect` the picture's width over its height."""
     span = float(np.ptp(robot.hip_pos_b[:, 0])) + robot.leg_length
     alone = len(beside) == 1
     across = 0.0 if alone else max(beside) - min(beside)
@@ -269,10 +267,10 @@ class Viewer(WebPage):
     def __init__(
         self,
         robot: Robot,
-        shown: Sequence[Sequence["Take"]],
+        shown: Sequence[Sequence[Take]],
         heading: str,
         port: int = DEFAULT_PORT,
-        animal: "Animal | None" = None,
+        animal: Animal | None = None,
     ) -> None:
         super().__init__(port)
         self._shown = [tuple(takes) for takes in shown]
@@ -335,7 +333,7 @@ class Viewer(WebPage):
             self.draw()
 
 
-def _longest(takes: Sequence["Take"]) -> tuple[int, float, Indices]:
+def _longest(takes: Sequence[Take]) -> tuple[int, float, Indices]:
     """Rows, rate and cycle starts of the longest take."""
     longest = max(takes, key=lambda take: take.rows)
     return longest.rows, longest.rate_hz, longest.cycle_starts
