@@ -1,10 +1,10 @@
 """Motions by name, whose transitions are made in the background, and what a robot follows live among them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,6 @@ from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import STAND, standing
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
-
-_Result = TypeVar("_Result")
 
 IN_PLACE: Final = "in-place"
 
@@ -111,19 +109,18 @@ class MotionSet:
         key = (before, after)
         known = self._transitions.get(key)
         if known is None or (known.done() and isinstance(known.exception(), BrokenExecutor)):
-            a, b = self.entries[before].motion, self.entries[after].motion
-            self._transitions[key] = self._made(make_course_transition, a, b, self._regulator)
+            self._transitions[key] = self._made(self.entries[before].motion, self.entries[after].motion)
         return self._transitions[key]
 
-    def _made(self, make: Callable[..., _Result], *given: Any) -> "Future[_Result]":
+    def _made(self, before: Motion, after: Motion) -> Future[CourseTransition | None]:
         """Computed in another process, or in this one if there is none."""
         if self._executor is not None:
             try:
-                return self._executor.submit(_made_there, self._source, make, *given)
+                return self._executor.submit(_made_there, self._source, before, after, self._regulator)
             except BrokenExecutor:
                 self._executor = None
-        future: Future[_Result] = Future()
-        future.set_result(make(self.robot, *given))
+        future: Future[CourseTransition | None] = Future()
+        future.set_result(make_course_transition(self.robot, before, after, self._regulator))
         return future
 
 
@@ -153,8 +150,8 @@ def warm_up(source: str) -> None:
     _robot_of(source)
 
 
-def _made_there(source: str, make: Callable[..., _Result], *given: Any) -> _Result:
-    return make(_robot_of(source), *given)
+def _made_there(source: str, *given: Any) -> CourseTransition | None:
+    return make_course_transition(_robot_of(source), *given)
 
 
 class LiveReference:
