@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
-from fastmimic.base.vectors import quat_to_matrix
+from fastmimic.base.vectors import copy, quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
 
 SENSES: Final = record_dtype(
@@ -64,8 +64,7 @@ def act(settings: Any, actions: Array, senses: Any) -> None:
     for i in range(actions.shape[0]):
         memory = senses[i]
         for h in range(HISTORY - 1, 0, -1):
-            for j in range(12):
-                memory.actions[h, j] = memory.actions[h - 1, j]
+            copy(memory.actions[h - 1], memory.actions[h])
         for j in range(12):
             wanted = setting.home[j] + setting.action_scale * actions[i, j]
             if not np.isfinite(wanted):
@@ -102,10 +101,8 @@ def _push(settings: Any, rotation: Array, obs: Any, senses: Any) -> None:
     """Adds roll, pitch, their rates and the joint angles to the histories. Before the first step, fills these with the
     present state, and with the actions that would hold it."""
     for h in range(HISTORY - 1, 0, -1):
-        for k in range(IMU_SIZE):
-            senses.imu[h, k] = senses.imu[h - 1, k]
-        for j in range(12):
-            senses.joints[h, j] = senses.joints[h - 1, j]
+        copy(senses.imu[h - 1], senses.imu[h])
+        copy(senses.joints[h - 1], senses.joints[h])
     senses.imu[0, 0] = np.arctan2(rotation[2, 1], rotation[2, 2])
     senses.imu[0, 1] = np.arcsin(min(max(-rotation[2, 0], -1.0), 1.0))
     for k in range(2):  # body frame, as from a gyroscope
@@ -113,16 +110,14 @@ def _push(settings: Any, rotation: Array, obs: Any, senses: Any) -> None:
         for a in range(3):
             rate += rotation[a, k] * obs.ang_vel[a]
         senses.imu[0, 2 + k] = rate
-    for j in range(12):
-        senses.joints[0, j] = obs.joint_pos[j]
+    copy(obs.joint_pos, senses.joints[0])
     if senses.age >= 0:
         return
     senses.age = 0
     for h in range(HISTORY):
-        for k in range(IMU_SIZE):
-            senses.imu[h, k] = senses.imu[0, k]
+        copy(senses.imu[0], senses.imu[h])
+        copy(obs.joint_pos, senses.joints[h])
         for j in range(12):
-            senses.joints[h, j] = obs.joint_pos[j]
             senses.actions[h, j] = (obs.joint_pos[j] - settings.home[j]) / settings.action_scale
     for j in range(12):
         senses.filter_in[:, j] = senses.filter_out[:, j] = obs.joint_pos[j]
@@ -171,6 +166,5 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
     out[at + 4] = sign * (c * q[1] - s * q[2])
     out[at + 5] = sign * (c * q[2] + s * q[1])
     out[at + 6] = sign * (c * q[3] + s * q[0])
-    for j in range(12):
-        out[at + 7 + j] = then.joint_pos[j]
+    copy(then.joint_pos, out[at + 7 : at + 19])
     return at + 19
