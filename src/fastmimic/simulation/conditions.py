@@ -275,14 +275,12 @@ def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> t
     `ConfigError` if a disturbance has two ranges, happens at a time, or is a delay (commands under way are not part of
     the training's state)."""
     names = [r.name for r in ranges]
+    possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(f"the range of '{name}' is given twice")
-    possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
-    for r in ranges:
-        if r.name not in possible:
-            raise ConfigError(f"'{r.name}' cannot differ between robots; what can: {', '.join(possible)}")
-
+        if name not in possible:
+            raise ConfigError(f"'{name}' cannot differ between robots; what can: {', '.join(possible)}")
     return tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in ranges)
 
 
