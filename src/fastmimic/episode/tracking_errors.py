@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import floats, inlined, integers, record_dtype
 from fastmimic.base.vectors import turned
+from fastmimic.reference.table import next_period
 
 POINTS: Final = 13
 SUCCESS_DISTANCE: Final = 0.5  # m from the reference
@@ -68,9 +69,7 @@ def _follow_moves(clock: Any, tally: Any) -> None:
     if tally.steps > 0:
         x, y = tally.last_origin[0], tally.last_origin[1]
         if clock.cycle != tally.last_cycle:
-            c, s = np.cos(tally.last_origin[2]), np.sin(tally.last_origin[2])
-            x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-            y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
+            x, y, _ = next_period(clock, x, y, tally.last_origin[2])
         tally.moved[0] += clock.origin[0] - clock.held[0] - x
         tally.moved[1] += clock.origin[1] - clock.held[1] - y
     for k in range(2):

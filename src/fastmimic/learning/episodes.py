@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
-from fastmimic.base.vectors import quat_to_matrix, transposed_times
+from fastmimic.base.vectors import quat_about_z, quat_to_matrix, transposed_times
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import Scorer
@@ -263,10 +263,8 @@ def place_robots(
         c, s = np.cos(yaw), np.sin(yaw)
         x, y = ref.root_pos[0], ref.root_pos[1]
         clocks[k].origin[0], clocks[k].origin[1], clocks[k].origin[2] = -(c * x - s * y), -(s * x + c * y), yaw
-        q = ref.root_quat
-        ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
-        place.root_quat[k, 0], place.root_quat[k, 1] = ch * q[0] - sh * q[3], ch * q[1] - sh * q[2]
-        place.root_quat[k, 2], place.root_quat[k, 3] = ch * q[2] + sh * q[1], ch * q[3] + sh * q[0]
+        q = place.root_quat[k]
+        q[0], q[1], q[2], q[3] = quat_about_z(yaw, ref.root_quat)
         for j in range(12):
             joint = ref.joint_pos[j] + noise * JOINT_NOISE * (2 * draws[k, 1 + j] - 1)
             place.joint_pos[k, j] = min(max(joint, settings[0].lower[j]), settings[0].upper[j])

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
-from fastmimic.base.vectors import copy, quat_to_matrix
+from fastmimic.base.vectors import copy, quat_about_z, quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
+from fastmimic.reference.table import next_period
 
 SENSES: Final = record_dtype(
     [
@@ -141,10 +142,7 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
     x = y = turned = 0.0  # of the frame's period relative to the present one
     if clock.repeats == 1:
         while sample >= n:
-            c, s = np.cos(turned), np.sin(turned)
-            x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-            y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-            turned += clock.cycle_step[2]
+            x, y, turned = next_period(clock, x, y, turned)
             sample -= n
     else:
         sample = min(sample, n - 1)  # after its end, the motion keeps its last sample
@@ -157,14 +155,9 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
     out[at] = c * x - s * y
     out[at + 1] = s * x + c * y
     out[at + 2] = then.root_pos[2] - now.root_pos[2]
-    half = 0.5 * (heading + turned)
-    c, s = np.cos(half), np.sin(half)
-    q = then.root_quat
-    w = c * q[0] - s * q[3]
-    sign = 1.0 if w >= 0 else -1.0
-    out[at + 3] = sign * w
-    out[at + 4] = sign * (c * q[1] - s * q[2])
-    out[at + 5] = sign * (c * q[2] + s * q[1])
-    out[at + 6] = sign * (c * q[3] + s * q[0])
+    q = quat_about_z(heading + turned, then.root_quat)
+    sign = 1.0 if q[0] >= 0 else -1.0
+    for k in range(4):
+        out[at + 3 + k] = sign * q[k]
     copy(then.joint_pos, out[at + 7 : at + 19])
     return at + 19

@@ -16,7 +16,7 @@ from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, turned_about_z, yaw_from_quat
-from fastmimic.base.vectors import copy, quat_turned
+from fastmimic.base.vectors import copy, quat_about_z, quat_turned
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
@@ -319,7 +319,5 @@ def put_at(x: float, y: float, yaw: float, out: Any) -> None:
     out.root_pos[0], out.root_pos[1] = x, y
     for v in (out.lin_vel, out.ang_vel, out.lin_acc, out.ang_acc, out.leg_lin_acc, out.leg_ang_acc):
         v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
-    ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
-    w, a, b, d = out.root_quat[0], out.root_quat[1], out.root_quat[2], out.root_quat[3]
-    out.root_quat[0], out.root_quat[1] = ch * w - sh * d, ch * a - sh * b
-    out.root_quat[2], out.root_quat[3] = ch * b + sh * a, ch * d + sh * w
+    q = out.root_quat
+    q[0], q[1], q[2], q[3] = quat_about_z(yaw, q)

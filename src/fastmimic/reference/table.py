@@ -184,13 +184,21 @@ def steps_due(clock: Any, n_samples: int, haste: float, table: Any) -> int:
         clock.ahead -= 1.0
         if clock.sample + 1 < n_samples:
             here, there = table[clock.sample].root_pos, table[clock.sample + 1].root_pos
-            _hold(clock, _in_world(clock, here), _in_world(clock, there))
+            _hold(clock, in_world(clock, here), in_world(clock, there))
         return 0
     return 1
 
 
 @inlined
-def _in_world(clock: Any, position: Array) -> tuple[float, float]:
+def next_period(clock: Any, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+    """The place of a period's origin, one period later."""
+    c, s, step = np.cos(yaw), np.sin(yaw), clock.cycle_step
+    return x + (c * step[0] - s * step[1]), y + (s * step[0] + c * step[1]), yaw + step[2]
+
+
+@inlined
+def in_world(clock: Any, position: Array) -> tuple[float, float]:
+    """World x and y of a sample's position (≥2,), m."""
     c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
     return clock.origin[0] + c * position[0] - s * position[1], clock.origin[1] + s * position[0] + c * position[1]
 
@@ -229,10 +237,7 @@ def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) ->
     if clock.sample >= n_samples:
         clock.sample = 0
         clock.cycle += 1
-        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-        moved_x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-        moved_y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-        clock.origin[2] += clock.cycle_step[2]
+        moved_x, moved_y, clock.origin[2] = next_period(clock, moved_x, moved_y, clock.origin[2])
     if table[clock.sample].sync == 1:
         synchronise(clock, table, x, y, moved_x, moved_y)
 
@@ -248,10 +253,10 @@ def taken_up_at(sample: int) -> float:
 def _take_up(clock: Any, table: Any, sample: int, x: float, y: float) -> None:
     """Goes to a sample in the same heading, with the root at (x, y)."""
     before, there = table[clock.sample].root_quat, table[sample].root_quat
-    place = _in_world(clock, table[clock.sample].root_pos)
+    place = in_world(clock, table[clock.sample].root_pos)
     clock.origin[2] += 2.0 * (np.arctan2(before[3], before[0]) - np.arctan2(there[3], there[0]))
     clock.sample = sample
-    _hold(clock, _in_world(clock, table[sample].root_pos), place)
+    _hold(clock, in_world(clock, table[sample].root_pos), place)
     synchronise(clock, table, x, y, clock.origin[0], clock.origin[1])
 
 
@@ -269,10 +274,10 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> No
         if due > 0:
             advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
         if due > 1:  # by a sample more: the feet go on, the root stays where it is
-            before = _in_world(clock, table[clock.sample].root_pos)
+            before = in_world(clock, table[clock.sample].root_pos)
             advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
             if table[clock.sample].sync == 0:
-                _hold(clock, _in_world(clock, table[clock.sample].root_pos), before)
+                _hold(clock, in_world(clock, table[clock.sample].root_pos), before)
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
