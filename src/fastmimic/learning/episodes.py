@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
-from fastmimic.base.vectors import quat_about_z, quat_to_matrix, transposed_times
+from fastmimic.base.vectors import heading_vector, quat_about_z, quat_to_matrix, transposed_times
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
 from fastmimic.episode.reward import Scorer
@@ -269,9 +269,7 @@ def place_robots(
             joint = ref.joint_pos[j] + noise * JOINT_NOISE * (2 * draws[k, 1 + j] - 1)
             place.joint_pos[k, j] = min(max(joint, settings[0].lower[j]), settings[0].upper[j])
             place.joint_vel[k, j] = ref.joint_vel[j]
-        place.lin_vel[k, 0] = c * ref.lin_vel[0] - s * ref.lin_vel[1]
-        place.lin_vel[k, 1] = s * ref.lin_vel[0] + c * ref.lin_vel[1]
-        place.lin_vel[k, 2] = ref.lin_vel[2]
+        heading_vector(c, -s, ref.lin_vel, place.lin_vel[k])
         for a in range(3):
             place.lin_vel[k, a] += noise * VELOCITY_NOISE * (2 * draws[k, 13 + a] - 1)
         # a turn about z changes the world, not the body's sensors

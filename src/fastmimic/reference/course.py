@@ -298,11 +298,10 @@ def put_joints(work: Any, out: Any) -> None:
     for k in range(3):
         for leg in range(4):
             foot = work.feet[k, leg]
-            a, h, e, _ = leg_inverse(work.geometry[leg], foot[0], foot[1], foot[2])
-            j = 3 * leg
-            work.joints[k, j], work.joints[k, j + 1], work.joints[k, j + 2] = a, h, e
-            for i in range(j, j + 3):
-                work.joints[k, i] = min(max(work.joints[k, i], work.lower[i]), work.upper[i])
+            joints = leg_inverse(work.geometry[leg], foot[0], foot[1], foot[2])[:3]
+            for i in range(3):
+                j = 3 * leg + i
+                work.joints[k, j] = min(max(joints[i], work.lower[j]), work.upper[j])
     for j in range(12):
         before, now, after = work.joints[0, j], work.joints[1, j], work.joints[2, j]
         out.joint_pos[j] = now
