@@ -20,7 +20,7 @@ from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
 from fastmimic.base.vectors import heading_vector, quat_about_z, quat_to_matrix, transposed_times
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, start_room
 from fastmimic.episode.reward import Scorer
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
@@ -161,12 +161,9 @@ class Episodes:
 
     def _phases(self) -> int:
         """Number of samples where an episode may begin; a motion that ends must leave some steps."""
-        n = self.motion.n_samples
-        if self.motion.cycle is not None:
-            return n
-        if n - 1 < self.config.decimation:
+        if self.motion.cycle is None and self.motion.n_samples - 1 < self.config.decimation:
             raise ConfigError(f"motion '{self.motion.name}' is shorter than a policy step")
-        return max(1, n - self.config.decimation * min(self._steps, _LEAST_STEPS))
+        return start_room(self.motion, min(self._steps, _LEAST_STEPS) / self.config.rate_hz)
 
     def _begin(self, rows: Indices) -> None:
         draws = self.random.random((len(rows), DRAWS))
