@@ -128,18 +128,14 @@ def _measure(
     depth = ring.shape[1]
     for i in range(truths.shape[0]):
         e, truth, noise = errors[i], truths[i], noises[i, at]
-        now, last = ring[i, e.tick % depth], ring[i, (e.tick + depth - 1) % depth]
+        ring[i, e.tick % depth] = ring[i, (e.tick + depth - 1) % depth]  # what is not measured now stays
+        now = ring[i, e.tick % depth]
         if e.tick % c.periods[0] == 0:
             _measure_imu(c, e, noise, truth, now, work[:3], work[3])
-        else:
-            now.quat, now.gyro, now.accel = last.quat, last.gyro, last.accel
         if e.tick % c.periods[1] == 0:
             _measure_joints(c, e, noise, truth, commands[i], now)
-        else:
-            now.joint_pos, now.joint_vel, now.torque = last.joint_pos, last.joint_vel, last.torque
-        for leg in range(4):
-            now.foot_force[leg] = last.foot_force[leg]
-            if e.tick % c.periods[2] == 0:
+        if e.tick % c.periods[2] == 0:
+            for leg in range(4):
                 force = e.foot_gain[leg] * max(truth.foot_force[leg, 2], 0.0) + e.foot_offset[leg]
                 force = e.foot_scale * (force + c.foot_noise * noise.foot[leg]) + e.foot_constant
                 now.foot_force[leg] = _rounded(force, c.foot_quantum)
