@@ -158,7 +158,7 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, truth:
     if not valid or not upright or obs.other_contact > 0.5:
         tally.fallen = 1
         return
-    count_tracking(context, ref, clock, obs, tally, (x, y, z, angle))
+    count_tracking(context, ref, clock, obs, tally, (x, y, z, angle, velocity))
     feet = _score_feet(context, ref, obs, truth, tally)
     tally.reward[0] = np.exp(-5.0 * pose)
     tally.reward[1] = np.exp(-0.1 * velocity)

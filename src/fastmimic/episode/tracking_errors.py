@@ -42,10 +42,11 @@ points' errors now and in the last two frames, without these moves."""
 
 
 @inlined
-def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, root: tuple[Any, ...]) -> None:
+def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, apart: tuple[Any, ...]) -> None:
     """Adds a step to a tally. Of the context's scratch memory, the first two (3, 3) are the rotations of the robot and
-    of the reference; `root` is the reference's position from the robot's, world, m, and the angle between them, rad."""
-    x, y, z, angle = root
+    of the reference; `apart` is the reference's position from the robot's, world, m, the angle between them, rad, and
+    the squared difference of their joint velocities, (rad/s)²."""
+    x, y, z, angle, speeds_sq = apart
     frames = context.work
     _follow_moves(clock, tally)
     distance_sq = x * x + y * y + z * z
@@ -54,11 +55,7 @@ def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, roo
     tally.root_error += np.sqrt(due_x * due_x + due_y * due_y + z * z)
     turn = np.arctan2(frames[1, 1, 0], frames[1, 0, 0]) - np.arctan2(frames[0, 1, 0], frames[0, 0, 0])
     tally.heading_error += abs(np.arctan2(np.sin(turn), np.cos(turn)))
-    speeds = 0.0
-    for j in range(12):
-        d = ref.joint_vel[j] - obs.joint_vel[j]
-        speeds += d * d
-    tally.joint_speed_error += np.sqrt(speeds)
+    tally.joint_speed_error += np.sqrt(speeds_sq)
     _compare_points(context, ref, obs, tally, x, y, z)
     _count_acceleration(tally, max(1, int(FRAME_S / context.dt + 0.5)), context.dt)
 
