@@ -71,9 +71,7 @@ def _assume(ref: Any, memory: Any, scratch: Any) -> None:
     """At first the ground leans as the robot does from its reference."""
     reference, up = scratch.reference_rotation, scratch.vector
     quat_to_matrix(ref.root_quat, reference)
-    for k in range(3):
-        scratch.change[k] = reference[2, k]  # the reference's vertical in its body frame
-    times(scratch.rotation, scratch.change, up)
+    times(scratch.rotation, reference[2], up)  # the reference's vertical in its body frame
     slope = np.hypot(up[0], up[1]) / max(up[2], 0.1)
     least = 1.0 if slope > SMALL_SLOPE else 0.0
     memory.slope[0], memory.slope[1] = -least * up[0] / max(up[2], 0.1), -least * up[1] / max(up[2], 0.1)

@@ -145,8 +145,7 @@ def plan_forces(
     copy(ahead.free[0], plan.state[0])
     for j in range(config.horizon_steps):
         acceleration = plan.acceleration[j]
-        for r in range(6):
-            acceleration[r] = ahead.drift[j, r]
+        copy(ahead.drift[j], acceleration)
         for leg in range(4):
             plan.force[j, leg, :] = 0.0
             if ahead.slot[j, leg] < 0:
