@@ -1,8 +1,7 @@
 """The ground under a robot, felt by its feet: a plane through where they last stood, and how far they were off it.
 
-The controller follows its reference in the plane's frame: what it sees is the robot's state from there, with gravity as
-it leans (after Bledt et al. 2018, MIT Cheetah 3, who fit such a plane). Small slopes and heights are the feet's own:
-level ground is seen as it is.
+The controller sees the robot's state in the plane's frame, and gravity as it leans there (after Bledt et al. 2018, MIT
+Cheetah 3, who fit such a plane). Small slopes and heights are the feet's own: level ground is seen as it is.
 """
 
 from typing import Any, Final

@@ -152,8 +152,7 @@ def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Ar
 
 @inlined
 def swing_leg(config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int) -> None:
-    """The reference's foot, shifted by the regulator, and as fast as that shifts it, or shifted by −K (v̄ − v) (paper,
-    eq. 3), by inverse kinematics."""
+    """Follows the reference's foot, shifted by the regulator, or by −K (v̄ − v) (paper, eq. 3); inverse kinematics."""
     for j in range(3 * leg, 3 * leg + 3):
         command.stiffness[j] = config.swing_kp
         command.damping[j] = config.swing_kd

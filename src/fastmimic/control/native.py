@@ -145,5 +145,4 @@ def _choose_clock() -> Any:
 
 
 seconds_now = _choose_clock()
-"""seconds_now(timespec) → s since some moment; `timespec` is (2,) int64 scratch, sec and ns on 64-bit systems. For
-timing only, never for behaviour."""
+"""seconds_now(timespec) → s since some moment; `timespec` is (2,) int64 scratch. For timing, never for behaviour."""

@@ -1,5 +1,4 @@
-"""Stance: which legs stand (paper, §III-B1 and its figure), and the ground forces that accelerate the body as wanted
-(paper, eq. 1; Di Carlo et al. 2018).
+"""Stance: which legs stand (paper, §III-B1), and the forces that accelerate the body (eq. 1; Di Carlo et al. 2018).
 
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
 schedule says so (take-off), or when it has been unloaded for a while in scheduled stance (early take-off). It enters
@@ -33,9 +32,8 @@ def begin_legs(memory: NDArray[Any], tables: NDArray[Any], sample: NDArray[np.in
 
 @inlined
 def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, force_z: float) -> bool:
-    """Advances one leg by one control step; True if it has just lifted off. `wanted` is the scheduled stance,
-    `swung` the share of the scheduled swing that is over, `force_z` the measured vertical ground force in N; `memory`
-    is changed."""
+    """Advances one leg in `memory` by one control step; True if it has just lifted off. `wanted` is the scheduled
+    stance, `swung` the share of the scheduled swing that is over, `force_z` the measured vertical ground force, N."""
     loaded = force_z > config.contact_threshold
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold

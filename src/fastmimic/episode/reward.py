@@ -246,8 +246,7 @@ class Scorer:
     """The reward, the falls and the counters (`tallies`, (n,) of `TALLY`) of n robots. One thread at a time."""
 
     def __init__(self, robot: Robot, table: NDArray[Any], n: int, config: ControllerConfig, rate_hz: float) -> None:
-        """`table` (t,) of `SAMPLE` is the demonstration; `config` gives the load above which a foot has touched
-        down."""
+        """`table` (t,) of `SAMPLE` is the demonstration; `config` tells from which load on a foot has touched down."""
         self.tallies = np.zeros(n, TALLY)
         self.context = ScoringContext(
             table=table,

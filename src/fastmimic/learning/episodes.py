@@ -62,10 +62,9 @@ class Outcome:
 
 
 class Episodes:
-    """n robots that imitate one motion in successive episodes. Only one thread at a time may step it. Of an optimised
-    motion they imitate the demonstration. An episode begins at a random phase (reference-state initialisation), with
-    joints and velocity perturbed as in an evaluation, and ends by a fall or at its length; the robot then begins the
-    next one at once."""
+    """n robots that imitate one motion, or its demonstration, in successive episodes. One thread at a time may step it.
+    An episode begins at a random phase (reference-state initialisation), with joints and velocity perturbed as in an
+    evaluation, and ends by a fall or at its length; the robot then begins the next one at once."""
 
     def __init__(
         self,

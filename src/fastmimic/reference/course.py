@@ -36,8 +36,7 @@ COURSE: Final = record_dtype(
     ]
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
-body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
-centre; `gain` of `SAMPLE`."""
+body; `foot` from the root on the ground, z of its centre; and velocities, accelerations and `gain` as in `SAMPLE`."""
 
 
 def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -178,8 +177,7 @@ def advance_place(course: Any, following: Any, place: Any, tempo: float, follow:
 
 @kernel
 def fill_table(course: Any, following: Any, place: Any, work: Any, table: Any) -> None:
-    """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame; `place` is used
-    up."""
+    """Writes the coming reference to a table (t,) of `SAMPLE`, in the root's present heading frame; uses `place` up."""
     x0, y0, yaw0 = place.pose[0], place.pose[1], place.pose[2]
     co, so = np.cos(yaw0), np.sin(yaw0)
     beyond = False

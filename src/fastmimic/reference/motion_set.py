@@ -47,9 +47,8 @@ class Entry:
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
     both are always there, all in `entries`. Raises `MotionError` for a motion that does not repeat, or is for another
-    robot or rate. The processes of `executor` make transitions in the background, and load the robot from `source`, a
-    file or by default the robot's name; without it they are made when they are needed. `regulator` is the
-    controller's."""
+    robot or rate. The processes of `executor` make transitions in the background, with the robot loaded from `source`,
+    a file or its name; without it, transitions are made when they are needed. `regulator` is the controller's."""
 
     def __init__(
         self,
@@ -156,8 +155,7 @@ def _made_there(source: str, *given: Any) -> CourseTransition | None:
 
 class LiveReference:
     """The reference of one robot at `rate_hz` control steps a second. `goal` is the motion requested, `start` at first;
-    `trouble` why the robot does not reach it, None if it does; `place` that of the reference, one record of
-    `make_place`."""
+    `trouble` why the robot does not reach it, None if it does; `place` that of the reference (`make_place`)."""
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
         self._library = library

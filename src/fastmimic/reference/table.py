@@ -43,10 +43,9 @@ SAMPLE: Final = record_dtype(
         *integers(sync=(), gain=()),
     ]
 )
-"""One sample of a reference, in the heading frame of the period's first sample. `swung` is the share of a leg's
-swing that is over. `leg_lin_acc` and `leg_ang_acc` are the
-accelerations that the ground must give beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle
-starts; `gain` is the row of the regulator's gains, one for each `GAIN_SAMPLES` samples."""
+"""One sample of a reference, in the heading frame of the period's first sample. `swung` is the share of a leg's swing
+that is over; `leg_lin_acc` and `leg_ang_acc` are the accelerations that the ground must give beyond those of the body
+(`ground_acceleration`). `sync` is 1 where a cycle starts; `gain` the row of gains, one for `GAIN_SAMPLES` samples."""
 
 GAIN_SAMPLES: Final = 4
 
@@ -228,8 +227,7 @@ def synchronise(clock: Any, table: Any, x: float, y: float, moved_x: float, move
 
 @inlined
 def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
-    """Advances by one sample; at a start of a cycle the origin is re-synchronised to the robot at (x, y). A motion that
-    does not repeat stays at its end."""
+    """Advances by one sample, at most to a motion's end; at a cycle's start the origin follows a robot at (x, y)."""
     if clock.repeats == 0 and clock.sample + 1 >= n_samples:
         return
     clock.sample += 1
@@ -263,8 +261,7 @@ def _take_up(clock: Any, table: Any, sample: int, x: float, y: float) -> None:
 @kernel
 def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> None:
     """Advances clocks (n,) by one control step; robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`.
-    `root_xy` (n, ≥2) are the present positions of the robots, world, m; `haste` (n,) is that of their controllers'
-    `MEMORY`, or `taken_up_at`."""
+    `root_xy` (n, ≥2) are the robots' positions, world, m; `haste` (n,) that of `MEMORY`, or `taken_up_at`."""
     n_samples = tables.shape[1]
     for i in range(clocks.shape[0]):
         clock, table = clocks[i], tables[min(i, tables.shape[0] - 1)]

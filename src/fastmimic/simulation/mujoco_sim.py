@@ -1,5 +1,4 @@
-"""MuJoCo: n robots on the ground, stepped as one batch on native threads; also with disturbances
-(`fastmimic.simulation.disturbance_kinds`).
+"""MuJoCo: n robots on the ground, also with disturbances, stepped as one batch on native threads.
 
 The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque limit, runs at physics rate inside MuJoCo: each
 joint has an affine actuator with the gains in its bias, per robot and per step.
@@ -188,9 +187,8 @@ class MujocoSimulation(Disturbed):
         ground: Terrain | None = None,
         ideal: bool = False,
     ) -> None:
-        """`robot` is without the disturbances. With `ideal`, motors have their torque at any speed, and legs pass
-        through each other. Raises `ConfigError` if the physics rate is not a multiple of the control rate, or as
-        `make_world`."""
+        """`robot` is without the disturbances; `ideal` as in `Conditions`. Raises `ConfigError` as `make_world`, or if
+        the physics rate is not a multiple of the control rate."""
         super().__init__(make_world(disturbances, n, "mujoco"), control_rate_hz)
         self.ground = ground
         self.model = build_model(robot, ground, ideal=ideal)
@@ -232,8 +230,7 @@ class MujocoSimulation(Disturbed):
         self.observe()
 
     def place(self, rows: NDArray[np.int64], *state: Array) -> None:
-        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`. Their
-        contact forces are 0 until the next step."""
+        """Puts robots `rows` (k,) into states (k, …) as in `reset`; their contact forces are 0 until the next step."""
         self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._set(rows, Placement(*state))
         self.observe()

@@ -50,10 +50,9 @@ class PybulletSimulation(Disturbed):
         control_rate_hz: float = 500.0,
         ideal: bool = False,
     ) -> None:
-        """Bullet and the motor law step at `PHYSICS_RATE_HZ`; `ground` is a plane or a height field, flat if None; a
-        disturbance has one value, or one for each robot; `ideal` as in `Conditions`. Raises `ConfigError` if PyBullet
-        is missing, the robot (of `PYBULLET_URDFS`) or a disturbance is not supported, or the physics rate is not a
-        multiple of the control rate."""
+        """Bullet and the motor law step at `PHYSICS_RATE_HZ`; `ground` is a plane or a height field, flat if None;
+        `ideal` as in `Conditions`. Raises `ConfigError` as `make_world`, if PyBullet is missing or the robot none of
+        `PYBULLET_URDFS`, or if the physics rate is not a multiple of the control rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
         super().__init__(world := make_world(disturbances, n, "pybullet"), control_rate_hz)

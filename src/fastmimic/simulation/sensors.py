@@ -151,12 +151,10 @@ def _measure(
 
 
 class Sensors:
-    """The sensors of n robots. A robot's noise depends on its own generator alone. `command` is what `to_motors` last
-    made."""
+    """Sensors of n robots, with noise of each one's own generator alone. `command` is what `to_motors` last made."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, config: SensorConfig, world: World | None = None) -> None:
-        """`world` holds the robots' disturbances: the delay of the motors' commands, and the foot sensors'
-        scale and offset; none if None."""
+        """`world` has the delay of the motors' commands, and scale and offset of the foot sensors; None for neither."""
         self._world = world = world if world is not None else make_world((), n, "mujoco")
         self.config, self._config = config, _pack(config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
@@ -193,8 +191,7 @@ class Sensors:
 
     def measure(self, truth: NDArray[Any], commands: NDArray[Any]) -> NDArray[Any]:
         """Readings (n,) of `READING` that have arrived at the end of a control step; overwritten by the next call.
-        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` the motors' commands for
-        it."""
+        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` are the motors'."""
         at = self._step % _BLOCK
         if at == 0:
             for rng, block in zip(self._generators, self._normals, strict=True):
