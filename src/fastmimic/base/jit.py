@@ -11,8 +11,7 @@ import numpy as np
 
 def kernel(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
     """Compiles `function` with Numba: no GIL, cached on disk, no fast-math (results must not depend on the machine). It
-    may not allocate: no references are counted. `NUMBA_DISABLE_JIT=1` runs the Python code, for debugging. `changed`
-    are other options of Numba's."""
+    may not allocate: no references are counted. `changed` are more options. `NUMBA_DISABLE_JIT=1` runs it as Python."""
     from numba import njit  # slow to import; modules that only need `record_dtype` do without
 
     _collect_no_garbage_meanwhile()

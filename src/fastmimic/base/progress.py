@@ -26,8 +26,7 @@ def is_watched() -> bool:
 
 @contextmanager
 def slow_start(text: str = "preparing") -> Iterator[Callable[[], None]]:
-    """Prints `text` if the block is still busy after a while, and says so if it compiles, unless the yielded function
-    was called before."""
+    """Prints `text`, and whether it compiles, if the block is busy for long and has not called the yielded function."""
     started, known = threading.Event(), kernels_compiled()
 
     def watch() -> None:
@@ -60,8 +59,7 @@ def count_progress(what: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def share_progress(what: str) -> Iterator[Callable[[float, str, str], None]]:
-    """Progress of long work: yields a function of (share in [0, 1], text, line). A bar with the text on a terminal,
-    otherwise the line, unless it is empty."""
+    """Yields a function of (share in [0, 1], text, line): a bar with the text on a terminal, else the line, if any."""
     with progress_bar(what, total=1.0) as show:
         yield lambda share, text, line: show(line, completed=share, info=text)
 

@@ -24,8 +24,7 @@ Entry = TypeVar("Entry", bound=Any)  # with a `name`: what it is called on the c
 
 class Registry(dict[str, Entry]):
     """Entries by name, in the order of registration: after `METHODS.register(Method("mine", …))` there is
-    `METHODS["mine"]`. An unknown name raises an `error` that lists the names, a duplicate one that too. `kind` is what
-    one entry is, in the singular, for messages: "method"."""
+    `METHODS["mine"]`. An unknown or taken name raises an `error`. `kind` is what an entry is, in messages: "method"."""
 
     def __init__(self, kind: str, entries: Iterable[Entry] = (), *, error: type[FastMimicError] = ConfigError) -> None:
         super().__init__()

@@ -28,6 +28,13 @@ def quat_turned(q: Any, v: Any) -> tuple[float, float, float]:
 
 
 @inlined
+def quat_about_z(yaw: float, q: Any) -> tuple[float, float, float, float]:
+    """A quaternion (w, x, y, z) turned by `yaw`, rad, about the world's z."""
+    c, s = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    return c * q[0] - s * q[3], c * q[1] - s * q[2], c * q[2] + s * q[1], c * q[3] + s * q[0]
+
+
+@inlined
 def heading_of(q: Array) -> float:
     """Yaw of a quaternion (w, x, y, z), rad."""
     return np.arctan2(2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[2] * q[2] + q[3] * q[3]))

@@ -55,8 +55,7 @@ SCRATCH: Final = record_dtype(
         *floats(jacobian=(3, 3), force_b=3, foot_target=3, joint_acc=12, torque=3),
     ]
 )
-"""Work memory of the control law, one record per thread, so that it allocates nothing. The suffix _b is for the body
-frame."""
+"""Work memory of the control law, one record per thread: it allocates nothing. The suffix _b is for the body frame."""
 
 
 class WorkMemory(NamedTuple):
@@ -265,8 +264,7 @@ class Controller:
         self.plan["valid"] = 0
 
     def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
-        """Commands (n,) of `COMMAND` for the next control step; overwritten by the next call. `observation` is (n,) of
-        `OBSERVATION`, `clocks` (n,) of `CLOCK`."""
+        """The next control step's commands, (n,), overwritten by the next call; from (n,) of `OBSERVATION`, `CLOCK`."""
         robots = self.tables, self.gains, clocks, observation, self._seen, self.memory, self.command, self.plan
         control_step(self._config, self._model, *robots, *self._trots, self._trot_clocks, *self._work)
         return self.command

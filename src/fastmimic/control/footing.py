@@ -1,8 +1,7 @@
 """The ground under a robot, felt by its feet: a plane through where they last stood, and how far they were off it.
 
-The controller follows its reference in the plane's frame: what it sees is the robot's state from there, with gravity as
-it leans (after Bledt et al. 2018, MIT Cheetah 3, who fit such a plane). Small slopes and heights are the feet's own:
-level ground is seen as it is.
+The controller sees the robot's state in the plane's frame, and gravity as it leans there (after Bledt et al. 2018, MIT
+Cheetah 3, who fit such a plane). Small slopes and heights are the feet's own: level ground is seen as it is.
 """
 
 from typing import Any, Final
@@ -71,9 +70,7 @@ def _assume(ref: Any, memory: Any, scratch: Any) -> None:
     """At first the ground leans as the robot does from its reference."""
     reference, up = scratch.reference_rotation, scratch.vector
     quat_to_matrix(ref.root_quat, reference)
-    for k in range(3):
-        scratch.change[k] = reference[2, k]  # the reference's vertical in its body frame
-    times(scratch.rotation, scratch.change, up)
+    times(scratch.rotation, reference[2], up)  # the reference's vertical in its body frame
     slope = np.hypot(up[0], up[1]) / max(up[2], 0.1)
     least = 1.0 if slope > SMALL_SLOPE else 0.0
     memory.slope[0], memory.slope[1] = -least * up[0] / max(up[2], 0.1), -least * up[1] / max(up[2], 0.1)

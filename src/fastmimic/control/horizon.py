@@ -25,8 +25,7 @@ from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_of, heading_vector
 from fastmimic.control.config import MAX_HORIZON_STEPS
 from fastmimic.control.horizon_preview import foresee
-from fastmimic.control.native import OPTIMAL, solve_qp
-from fastmimic.control.stance import friction_rows
+from fastmimic.control.stance import solve_for_forces, variable
 from fastmimic.reference.regulator import FEET, STATES
 
 _N: Final = MAX_HORIZON_STEPS
@@ -50,12 +49,6 @@ def _along(column: Array, axis: int, v: Array) -> float:
 
 
 @inlined
-def variable(slot: int, axis: int, k: int) -> int:
-    """Index of a force component: the z of all k forces first, for DAQP's simple bounds, then their x and y."""
-    return slot if axis == 2 else k + 2 * slot + axis
-
-
-@inlined
 def advance(step: float, acceleration: Array, state: Array, out: Array) -> None:
     """One step of the model."""
     for r in range(6):
@@ -74,9 +67,8 @@ def _coupling(config: Any, i: int, j: int, out: Array) -> None:
 
 
 @kernel
-def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
-    """Assembles the QP from `ahead` (standing, columns, drift, target, free[0]) and returns the number k of forces.
-    There are 3 k variables, k simple bounds and 4 k or 8 k rows."""
+def condense(config: Any, ahead: Any, qp: Any) -> int:
+    """Assembles the QP's cost from `ahead` (standing, columns, drift, target, free[0]); returns the count of forces."""
     steps, h = config.horizon_steps, config.horizon_step_s
     k = 0
     for j in range(steps):
@@ -104,11 +96,6 @@ def condense(config: Any, weight: float, ahead: Any, qp: Any) -> int:
             for axis in range(3):
                 at = variable(ahead.slot[j, leg], axis, k)
                 qp.gradient[at] = _along(ahead.columns[j, leg, axis], axis, impulse)
-
-    # friction and bounds
-    for i in range(k):
-        qp.lower[i], qp.upper[i] = config.min_force / weight, config.max_force / weight
-    friction_rows(config, config.mu, k, qp)
     return k
 
 
@@ -146,12 +133,8 @@ def plan_forces(
     """Plans the forces ahead of one robot (inputs as in `foresee`); False, and no plan, if the solver failed."""
     foresee(config, model, table, clock, obs, memory, scratch, ahead)
     weight = model.mass * GRAVITY
-    k = condense(config, weight, ahead, qp)
-    solved = True
-    if k > 0:
-        solved = solve_qp(qp, 3 * k, (1 + config.friction_sides) * k, k) == OPTIMAL
-        for i in range(3 * k):
-            solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
+    k = condense(config, ahead, qp)
+    solved = k == 0 or solve_for_forces(config, config.mu, weight, k, qp)
     plan.valid, plan.age = solved, 0
     if not solved:
         memory.qp_failures += 1
@@ -162,8 +145,7 @@ def plan_forces(
     copy(ahead.free[0], plan.state[0])
     for j in range(config.horizon_steps):
         acceleration = plan.acceleration[j]
-        for r in range(6):
-            acceleration[r] = ahead.drift[j, r]
+        copy(ahead.drift[j], acceleration)
         for leg in range(4):
             plan.force[j, leg, :] = 0.0
             if ahead.slot[j, leg] < 0:

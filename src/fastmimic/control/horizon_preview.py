@@ -11,6 +11,7 @@ from fastmimic.base.vectors import copy, heading_of, heading_vector, quat_to_mat
 from fastmimic.control.config import MAX_HORIZON_STEPS
 from fastmimic.control.joint_commands import REGULATED
 from fastmimic.control.stance import force_column
+from fastmimic.reference.table import next_period
 
 _N: Final = MAX_HORIZON_STEPS
 
@@ -71,10 +72,7 @@ def _ahead(config: Any, table: Any, clock: Any, steps: int) -> tuple[int, float,
         yaw += turn
     while sample >= n:
         sample -= n
-        c, s = np.cos(yaw), np.sin(yaw)
-        x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-        y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-        yaw += clock.cycle_step[2]
+        x, y, yaw = next_period(clock, x, y, yaw)
     return sample, x, y, yaw
 
 

@@ -116,20 +116,16 @@ def raibert_leg(config: Any, model: Any, ref: Any, memory: Any, command: Any, sc
     """Moves a leg to the Raibert foothold, holding it after T_s until contact; independent of the animal."""
     share = min(memory.since_switch[leg] / config.swing_time, 1.0)
     step = config.dt / config.swing_time
-    a, h, k = raibert_path(config, model, ref, memory, scratch, leg, share)
-    j = 3 * leg
-    command.joint_pos[j], command.joint_pos[j + 1], command.joint_pos[j + 2] = a, h, k
+    now = raibert_path(config, model, ref, memory, scratch, leg, share)
+    before = after = now
     if share < 1.0:
-        a0, h0, k0 = raibert_path(config, model, ref, memory, scratch, leg, share - step)
-        a1, h1, k1 = raibert_path(config, model, ref, memory, scratch, leg, share + step)
-    else:
-        a0, h0, k0 = a, h, k
-        a1, h1, k1 = a, h, k
+        before = raibert_path(config, model, ref, memory, scratch, leg, share - step)
+        after = raibert_path(config, model, ref, memory, scratch, leg, share + step)
     half, square = 0.5 / config.dt, 1.0 / (config.dt * config.dt)
-    command.joint_vel[j], command.joint_vel[j + 1] = half * (a1 - a0), half * (h1 - h0)
-    command.joint_vel[j + 2] = half * (k1 - k0)
-    scratch.joint_acc[j], scratch.joint_acc[j + 1] = square * (a1 - 2 * a + a0), square * (h1 - 2 * h + h0)
-    scratch.joint_acc[j + 2] = square * (k1 - 2 * k + k0)
+    for i in range(3):
+        command.joint_pos[3 * leg + i] = now[i]
+        command.joint_vel[3 * leg + i] = half * (after[i] - before[i])
+        scratch.joint_acc[3 * leg + i] = square * (after[i] - 2 * now[i] + before[i])
 
 
 @inlined
@@ -156,8 +152,7 @@ def keep_in_reach(config: Any, model: Any, rotation: Array, leg: int, target: Ar
 
 @inlined
 def swing_leg(config: Any, model: Any, obs: Any, ref: Any, memory: Any, command: Any, scratch: Any, leg: int) -> None:
-    """The reference's foot, shifted by the regulator, and as fast as that shifts it, or shifted by −K (v̄ − v) (paper,
-    eq. 3), by inverse kinematics."""
+    """Follows the reference's foot, shifted by the regulator, or by −K (v̄ − v) (paper, eq. 3); inverse kinematics."""
     for j in range(3 * leg, 3 * leg + 3):
         command.stiffness[j] = config.swing_kp
         command.damping[j] = config.swing_kd

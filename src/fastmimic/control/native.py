@@ -13,7 +13,9 @@ import sys
 import time
 from typing import Any, Final
 
+import daqp
 import numpy as np
+from llvmlite import binding
 from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
@@ -52,9 +54,6 @@ def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
 @functools.cache
 def _library() -> Any:
     """The extension module as a C library with its symbols known to LLVM; None if it does not export them."""
-    import daqp
-    from llvmlite import binding
-
     try:
         library = ctypes.CDLL(daqp.__file__)
         _ = library.daqp_quadprog, library.daqp_default_settings
@@ -70,8 +69,6 @@ _quadprog = types.ExternalFunction("daqp_quadprog", types.void(types.voidptr, ty
 def _solve_python(
     n: int, m: int, ms: int, hessian: Array, gradient: Array, rows: Array, upper: Array, lower: Array
 ) -> tuple[int, Array, Array]:
-    import daqp
-
     square, table = hessian[: n * n].reshape(n, n), rows[: (m - ms) * n].reshape(m - ms, n)
     given = (part.copy() for part in (square, gradient[:n], table, upper[:m], lower[:m]))
     solution, _, flag, info = daqp.solve(*given, np.zeros(m, np.intc))
@@ -148,5 +145,4 @@ def _choose_clock() -> Any:
 
 
 seconds_now = _choose_clock()
-"""seconds_now(timespec) → s since some moment; `timespec` is (2,) int64 scratch, sec and ns on 64-bit systems. For
-timing only, never for behaviour."""
+"""seconds_now(timespec) → s since some moment; `timespec` is (2,) int64 scratch. For timing, never for behaviour."""

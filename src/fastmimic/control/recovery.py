@@ -97,8 +97,7 @@ def _standing(memory: Any) -> int:
 def begin_or_end_recovery(
     config: Any, table: Any, clock: Any, gain: Any, trot: Any, own: Any, obs: Any, memory: Any, scratch: Any
 ) -> bool:
-    """Whether the robot now changes between its motion, a `table` (t,) of `SAMPLE`, and its `trot` (m,), whose clock is
-    `own`. `scratch` compares the robot with the motion."""
+    """Whether the robot changes between its motion, `table` (t,) of `SAMPLE`, and its `trot` (m,) at clock `own`."""
     if memory.recovering == 0:
         waits = _standing(memory) < 3 and gain.landing <= LATE_S
         fast = np.hypot(trot[0].lin_vel[0], trot[0].lin_vel[1]) > config.recovery_top_speed
@@ -204,8 +203,7 @@ NO_RECOVERY: Final = np.zeros((1, 1), SAMPLE), np.zeros((1, 1), GAINS)
 
 @once
 def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The trots of a motion's demonstration: one for a cycle, one for each second of a passage. Returns their tables
-    (p, m) of `SAMPLE` and gains (p, g) of `GAINS`."""
+    """Tables (p, m) of `SAMPLE` and gains (p, g) of `GAINS`: a trot for a cycle, one for each second of a passage."""
     count = 1 if motion.cycle is not None else max(1, round(motion.period_s / PIECE_S))
     trots = [_trot(motion, part, robot) for part in np.array_split(np.arange(motion.n_samples), count)]
     tables = [reference_table(trot, robot) for trot in trots]

@@ -1,5 +1,4 @@
-"""Stance: which legs stand (paper, §III-B1 and its figure), and the ground forces that accelerate the body as wanted
-(paper, eq. 1; Di Carlo et al. 2018).
+"""Stance: which legs stand (paper, §III-B1), and the forces that accelerate the body (eq. 1; Di Carlo et al. 2018).
 
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
 schedule says so (take-off), or when it bears nothing for a while in scheduled stance, though it is asked to (early
@@ -33,9 +32,8 @@ def begin_legs(memory: NDArray[Any], tables: NDArray[Any], sample: NDArray[np.in
 
 @inlined
 def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, force_z: float) -> bool:
-    """Advances one leg by one control step; True if it has just lifted off. `wanted` is the scheduled stance,
-    `swung` the share of the scheduled swing that is over, `force_z` the measured vertical ground force in N; `memory`
-    is changed."""
+    """Advances one leg in `memory` by one control step; True if it has just lifted off. `wanted` is the scheduled
+    stance, `swung` the share of the scheduled swing that is over, `force_z` the measured vertical ground force, N."""
     loaded = force_z > config.contact_threshold
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold
@@ -109,8 +107,26 @@ def force_column(inverse_inertia: Array, arm: Array, axis: int, mass: float, out
 
 
 @inlined
-def friction_rows(config: Any, mu: float, k: int, qp: Any) -> int:
-    """Writes the friction pyramids of k forces below the k simple bounds on f_z; returns how many rows, 4 k or 8 k."""
+def variable(slot: int, axis: int, k: int) -> int:
+    """Index of a force component: the z of all k forces first, for DAQP's simple bounds, then their x and y."""
+    return slot if axis == 2 else k + 2 * slot + axis
+
+
+@inlined
+def solve_for_forces(config: Any, mu: float, unit: float, k: int, qp: Any) -> bool:
+    """Solves for k forces in multiples of `unit` N, within bounds on f_z and friction; False if the solver failed."""
+    for i in range(k):
+        qp.lower[i], qp.upper[i] = config.min_force / unit, config.max_force / unit
+    _friction_rows(config, mu, k, qp)
+    solved = solve_qp(qp, 3 * k, (1 + config.friction_sides) * k, k) == OPTIMAL
+    for i in range(3 * k):
+        solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
+    return solved
+
+
+@inlined
+def _friction_rows(config: Any, mu: float, k: int, qp: Any) -> None:
+    """Writes the friction pyramids of k forces, 4 k or 8 k rows, below the k simple bounds on f_z."""
     n, row = 3 * k, 0
     qp.rows[: config.friction_sides * k * n] = 0.0
     for first in range(0, config.friction_sides, 4):
@@ -120,7 +136,6 @@ def friction_rows(config: Any, mu: float, k: int, qp: Any) -> int:
                 qp.rows[row * n + k + 2 * i], qp.rows[row * n + k + 2 * i + 1] = _SIDES[side, 0], _SIDES[side, 1]
                 qp.upper[k + row], qp.lower[k + row] = 0.0, -INFINITY
                 row += 1
-    return row
 
 
 @kernel
@@ -145,8 +160,8 @@ def stance_forces(config: Any, model: Any, gain: Any, memory: Any, scratch: Any,
         if memory.stance[leg] == 0:
             continue
         for axis in range(3):
-            at = index if axis == 2 else k + 2 * index + axis
-            force_column(scratch.inverse_inertia, scratch.arms[leg], axis, model.mass, columns[at])
+            column = columns[variable(index, axis, k)]
+            force_column(scratch.inverse_inertia, scratch.arms[leg], axis, model.mass, column)
         index += 1
     for i in range(n):
         gradient = 0.0
@@ -162,13 +177,7 @@ def stance_forces(config: Any, model: Any, gain: Any, memory: Any, scratch: Any,
                 h += weighted[i, r] * columns[j, r]
             qp.hessian[i * n + j] = h
             qp.hessian[j * n + i] = h
-    for i in range(k):
-        qp.lower[i], qp.upper[i] = config.min_force, config.max_force
-    row = friction_rows(config, memory.friction, k, qp)
-    solved = solve_qp(qp, n, k + row, k) == OPTIMAL
-    for i in range(n):
-        solved = solved and np.isfinite(qp.x[i])  # DAQP calls a problem with a NaN in it solved
-    if not solved:
+    if not solve_for_forces(config, memory.friction, 1.0, k, qp):
         memory.qp_failures += 1
         memory.failed_in_a_row += 1
         for leg in range(4):
@@ -181,8 +190,7 @@ def stance_forces(config: Any, model: Any, gain: Any, memory: Any, scratch: Any,
         if memory.stance[leg] == 0:
             memory.force[leg, :] = 0.0
             continue
-        memory.force[leg, 0] = qp.x[k + 2 * index]
-        memory.force[leg, 1] = qp.x[k + 2 * index + 1]
-        memory.force[leg, 2] = qp.x[index]
+        for axis in range(3):
+            memory.force[leg, axis] = qp.x[variable(index, axis, k)]
         index += 1
     return True

@@ -11,6 +11,7 @@ from fastmimic.base.vectors import heading_vector, quat_to_matrix, rotation_erro
 from fastmimic.control.recovery import find_urgency
 from fastmimic.control.stance import force_column, invert_symmetric_3x3
 from fastmimic.reference.regulator import FEET, RATES, STATES
+from fastmimic.reference.table import in_world
 from fastmimic.robot.dynamics import leg_mass_moment
 from fastmimic.robot.kinematics import leg_forward
 
@@ -78,9 +79,8 @@ def compare_to_reference(model: Any, ref: Any, clock: Any, obs: Any, scratch: An
     heading_vector(ct, -st, ref.lin_vel, scratch.ref_lin_vel)
     heading_vector(ct, -st, ref.ang_vel, scratch.ref_ang_vel)
 
-    co, so = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-    x = clock.origin[0] + co * ref.root_pos[0] - so * ref.root_pos[1] - obs.root_pos[0]
-    y = clock.origin[1] + so * ref.root_pos[0] + co * ref.root_pos[1] - obs.root_pos[1]
+    x, y = in_world(clock, ref.root_pos)
+    x, y = x - obs.root_pos[0], y - obs.root_pos[1]
     scratch.error[0], scratch.error[1] = c * x + s * y, -s * x + c * y
     scratch.error[2] = ref.root_pos[2] - obs.root_pos[2]
     rotation_error(reference_rotation, rotation, scratch.angle_error)

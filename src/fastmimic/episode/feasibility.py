@@ -8,6 +8,7 @@ its fall. `reasons` compares both with the robot's limits.
 from dataclasses import dataclass
 from typing import Any, Final
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -164,8 +165,6 @@ def _slide(robot: Robot, motion: Motion) -> float:
 
 def _body_clearance(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> float:
     """Least distance of colliding geoms, except feet, from the ground, m; 0.5 if nothing comes nearer."""
-    import mujoco
-
     model = build_model(robot)
     data, floor, least, pair = mujoco.MjData(model), model.geom(FLOOR).id, 0.5, np.zeros(6)
     geoms = [g for g in range(model.ngeom) if model.geom_conaffinity[g] and model.geom(g).name not in robot.foot_geoms]
@@ -178,8 +177,6 @@ def _body_clearance(robot: Robot, motion: Motion, sample: NDArray[np.int_]) -> f
 
 def _touching(robot: Robot, state: Any) -> tuple[str, ...]:
     """Sorted names of the bodies that touch the ground with anything but a foot."""
-    import mujoco
-
     if not all(np.isfinite(state[name]).all() for name in ("root_pos", "root_quat", "joint_pos")):
         return ()
     model = build_model(robot)

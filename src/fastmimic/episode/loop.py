@@ -112,9 +112,8 @@ class ClosedLoop:
     ) -> Rollout:
         """Runs one episode of so many control steps with each robot. `references` are one or n motions or tables (k, t)
         of `SAMPLE` to follow, None for the demonstration; `log` keeps the whole course; `divisions` are ascending
-        control steps at which a part of the episodes ends and the next begins. Raises `ConfigError` if the number of
-        starts or references is not that of the robots, or their rate differs; `MotionError` if the references' period
-        is not the demonstration's."""
+        control steps at which a part of the episodes ends. Raises `ConfigError` for a number of starts or references
+        other than that of the robots, or another rate; `MotionError` for a period other than the demonstration's."""
         self.place(start, references)
         rate_hz, scorer = self.controller.config.rate_hz, self.scorer
         recorder = _Recorder(self, steps) if log else None
@@ -237,8 +236,7 @@ def _feet(robot: Robot, place: Placement) -> Array:
 
 
 def on_ground(terrain: Terrain | None, robot: Robot, place: Placement) -> Placement:
-    """Lays states above level ground on the plane through a terrain's ground under their feet, and raises them so that
-    no foot begins in the ground."""
+    """Lays states above level ground on the plane under their feet; raises them so that no foot is in the ground."""
     ground: Array | float = 0.0
     if terrain is not None:
         plane = terrain.plane_through(place.root_pos, _feet(robot, place), robot.foot_radius)

@@ -20,7 +20,7 @@ from fastmimic.base.rotations import turned_about_z
 from fastmimic.base.vectors import quat_to_matrix, turn_rows, turned
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.tracking_errors import TRACKING_SUMS, count_tracking
-from fastmimic.reference.table import world_root
+from fastmimic.reference.table import in_world, world_root
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_forward
 
@@ -136,9 +136,8 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, truth:
         d = ref.joint_vel[j] - obs.joint_vel[j]
         velocity += d * d
 
-    x = clock.origin[0] + c * ref.root_pos[0] - s * ref.root_pos[1] - obs.root_pos[0]
-    y = clock.origin[1] + s * ref.root_pos[0] + c * ref.root_pos[1] - obs.root_pos[1]
-    z = ref.root_pos[2] - obs.root_pos[2]
+    x, y = in_world(clock, ref.root_pos)
+    x, y, z = x - obs.root_pos[0], y - obs.root_pos[1], ref.root_pos[2] - obs.root_pos[2]
     trace = 0.0
     for a in range(3):
         for b in range(3):
@@ -159,7 +158,7 @@ def _score_robot(context: ScoringContext, ref: Any, clock: Any, obs: Any, truth:
     if not valid or not upright or obs.other_contact > 0.5:
         tally.fallen = 1
         return
-    count_tracking(context, ref, clock, obs, tally, (x, y, z, angle))
+    count_tracking(context, ref, clock, obs, tally, (x, y, z, angle, velocity))
     feet = _score_feet(context, ref, obs, truth, tally)
     tally.reward[0] = np.exp(-5.0 * pose)
     tally.reward[1] = np.exp(-0.1 * velocity)
@@ -247,8 +246,7 @@ class Scorer:
     """The reward, the falls and the counters (`tallies`, (n,) of `TALLY`) of n robots. One thread at a time."""
 
     def __init__(self, robot: Robot, table: NDArray[Any], n: int, config: ControllerConfig, rate_hz: float) -> None:
-        """`table` (t,) of `SAMPLE` is the demonstration; `config` gives the load above which a foot has touched
-        down."""
+        """`table` (t,) of `SAMPLE` is the demonstration; `config` tells from which load on a foot has touched down."""
         self.tallies = np.zeros(n, TALLY)
         self.context = ScoringContext(
             table=table,

@@ -146,8 +146,7 @@ def summarised(counted: Counted, steps: int, rate_hz: float) -> Rollout:
 
 def run_log(log: Log, episode: int, *, robot: str, motion: str, latency_s: float) -> RunLog:
     """One episode as the robot's own computer knew it. `log` is of a controller with sensors, else `ConfigError` is
-    raised, as no robot's computer knows the truth. `latency_s` is the readings' age on arrival, as the estimator
-    assumes it."""
+    raised: no robot knows the truth. `latency_s` is the readings' age on arrival, as the estimator assumes it."""
     if log.reading is None or log.estimate is None:
         raise ConfigError("a robot's log is of what its sensors say; run the episode with --observe sensors")
     of = log.reading[episode], log.command[episode], log.estimate[episode], log.stance[episode]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import floats, inlined, integers, record_dtype
 from fastmimic.base.vectors import turned
+from fastmimic.reference.table import next_period
 
 POINTS: Final = 13
 SUCCESS_DISTANCE: Final = 0.5  # m from the reference
@@ -41,10 +42,11 @@ points' errors now and in the last two frames, without these moves."""
 
 
 @inlined
-def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, root: tuple[Any, ...]) -> None:
+def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, apart: tuple[Any, ...]) -> None:
     """Adds a step to a tally. Of the context's scratch memory, the first two (3, 3) are the rotations of the robot and
-    of the reference; `root` is the reference's position from the robot's, world, m, and the angle between them, rad."""
-    x, y, z, angle = root
+    of the reference; `apart` is the reference's position from the robot's, world, m, the angle between them, rad, and
+    the squared difference of their joint velocities, (rad/s)²."""
+    x, y, z, angle, speeds_sq = apart
     frames = context.work
     _follow_moves(clock, tally)
     distance_sq = x * x + y * y + z * z
@@ -53,11 +55,7 @@ def count_tracking(context: Any, ref: Any, clock: Any, obs: Any, tally: Any, roo
     tally.root_error += np.sqrt(due_x * due_x + due_y * due_y + z * z)
     turn = np.arctan2(frames[1, 1, 0], frames[1, 0, 0]) - np.arctan2(frames[0, 1, 0], frames[0, 0, 0])
     tally.heading_error += abs(np.arctan2(np.sin(turn), np.cos(turn)))
-    speeds = 0.0
-    for j in range(12):
-        d = ref.joint_vel[j] - obs.joint_vel[j]
-        speeds += d * d
-    tally.joint_speed_error += np.sqrt(speeds)
+    tally.joint_speed_error += np.sqrt(speeds_sq)
     _compare_points(context, ref, obs, tally, x, y, z)
     _count_acceleration(tally, max(1, int(FRAME_S / context.dt + 0.5)), context.dt)
 
@@ -68,9 +66,7 @@ def _follow_moves(clock: Any, tally: Any) -> None:
     if tally.steps > 0:
         x, y = tally.last_origin[0], tally.last_origin[1]
         if clock.cycle != tally.last_cycle:
-            c, s = np.cos(tally.last_origin[2]), np.sin(tally.last_origin[2])
-            x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-            y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
+            x, y, _ = next_period(clock, x, y, tally.last_origin[2])
         tally.moved[0] += clock.origin[0] - clock.held[0] - x
         tally.moved[1] += clock.origin[1] - clock.held[1] - y
     for k in range(2):

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import kernel, record_dtype
-from fastmimic.base.vectors import quat_to_matrix, transposed_times
+from fastmimic.base.vectors import heading_vector, quat_about_z, quat_to_matrix, transposed_times
 from fastmimic.control.config import ControllerConfig
-from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, start_room
 from fastmimic.episode.reward import Scorer
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
@@ -62,10 +62,9 @@ class Outcome:
 
 
 class Episodes:
-    """n robots that imitate one motion in successive episodes. Only one thread at a time may step it. Of an optimised
-    motion they imitate the demonstration. An episode begins at a random phase (reference-state initialisation), with
-    joints and velocity perturbed as in an evaluation, and ends by a fall or at its length; the robot then begins the
-    next one at once."""
+    """n robots that imitate one motion, or its demonstration, in successive episodes. One thread at a time may step it.
+    An episode begins at a random phase (reference-state initialisation), with joints and velocity perturbed as in an
+    evaluation, and ends by a fall or at its length; the robot then begins the next one at once."""
 
     def __init__(
         self,
@@ -161,12 +160,9 @@ class Episodes:
 
     def _phases(self) -> int:
         """Number of samples where an episode may begin; a motion that ends must leave some steps."""
-        n = self.motion.n_samples
-        if self.motion.cycle is not None:
-            return n
-        if n - 1 < self.config.decimation:
+        if self.motion.cycle is None and self.motion.n_samples - 1 < self.config.decimation:
             raise ConfigError(f"motion '{self.motion.name}' is shorter than a policy step")
-        return max(1, n - self.config.decimation * min(self._steps, _LEAST_STEPS))
+        return start_room(self.motion, min(self._steps, _LEAST_STEPS) / self.config.rate_hz)
 
     def _begin(self, rows: Indices) -> None:
         draws = self.random.random((len(rows), DRAWS))
@@ -263,17 +259,13 @@ def place_robots(
         c, s = np.cos(yaw), np.sin(yaw)
         x, y = ref.root_pos[0], ref.root_pos[1]
         clocks[k].origin[0], clocks[k].origin[1], clocks[k].origin[2] = -(c * x - s * y), -(s * x + c * y), yaw
-        q = ref.root_quat
-        ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
-        place.root_quat[k, 0], place.root_quat[k, 1] = ch * q[0] - sh * q[3], ch * q[1] - sh * q[2]
-        place.root_quat[k, 2], place.root_quat[k, 3] = ch * q[2] + sh * q[1], ch * q[3] + sh * q[0]
+        q = place.root_quat[k]
+        q[0], q[1], q[2], q[3] = quat_about_z(yaw, ref.root_quat)
         for j in range(12):
             joint = ref.joint_pos[j] + noise * JOINT_NOISE * (2 * draws[k, 1 + j] - 1)
             place.joint_pos[k, j] = min(max(joint, settings[0].lower[j]), settings[0].upper[j])
             place.joint_vel[k, j] = ref.joint_vel[j]
-        place.lin_vel[k, 0] = c * ref.lin_vel[0] - s * ref.lin_vel[1]
-        place.lin_vel[k, 1] = s * ref.lin_vel[0] + c * ref.lin_vel[1]
-        place.lin_vel[k, 2] = ref.lin_vel[2]
+        heading_vector(c, -s, ref.lin_vel, place.lin_vel[k])
         for a in range(3):
             place.lin_vel[k, a] += noise * VELOCITY_NOISE * (2 * draws[k, 13 + a] - 1)
         # a turn about z changes the world, not the body's sensors

@@ -25,6 +25,9 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Range
 
+if find_spec("torch") is not None:  # else `check_installed` says what is missing
+    import torch
+
 _SMALL: Final = 0.01  # scale of the last layer's initial weights: the first actions hold the home pose
 _ACTIVATION: Final = "elu"
 
@@ -38,8 +41,6 @@ def check_installed() -> None:
 
 def choose_device(name: str) -> str:
     """Resolves `auto` to cuda:0 if PyTorch can use a GPU, else cpu; raises `ConfigError` for a device it cannot use."""
-    import torch
-
     if name == "auto":
         return "cuda:0" if torch.cuda.is_available() else "cpu"
     try:
@@ -106,8 +107,6 @@ class Learner:
     ) -> None:
         """`device` as from `choose_device`; the result does not depend on `threads`. Raises as `Episodes`."""
         check_installed()
-        import torch
-
         self.settings, self.device = settings, device
         options: dict[str, Any] = {"duration_s": settings.episode_s, "randomize": settings.randomize}
         self.episodes = Episodes(
@@ -120,8 +119,6 @@ class Learner:
 
     def iterate(self) -> Iteration:
         """Runs the robots for the horizon, then updates the policy."""
-        import torch
-
         began = time.perf_counter()
         rewards: list[float] = []
         scores: list[float] = []
@@ -167,8 +164,6 @@ class Learner:
 
     def onnx(self) -> bytes:
         """The actor as ONNX, normalisation included: `obs` (batch, observation) to `actions` (batch, 12)."""
-        import torch
-
         network = self._algorithm.get_policy().as_onnx(verbose=False).cpu().eval()
         with tempfile.TemporaryDirectory() as folder, torch.no_grad(), warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # the newer exporter needs one more library
@@ -186,8 +181,6 @@ class Learner:
 
     def state(self) -> dict[str, Any]:
         """The complete state apart from the arguments: tensors and plain values."""
-        import torch
-
         episodes = self.episodes.state()
         random = episodes.pop("random")
         return {
@@ -204,8 +197,6 @@ class Learner:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restores the `state` of a learner with the same arguments."""
-        import torch
-
         self._algorithm.load(state["algorithm"], None, True)
         self._algorithm.learning_rate = state["learning_rate"]
         torch.set_rng_state(state["torch_random"])
@@ -222,7 +213,6 @@ class Learner:
         self.episodes.close()
 
     def _make(self, seen: Any) -> Any:
-        import torch
         from rsl_rl.algorithms import PPO
         from rsl_rl.models import MLPModel
         from rsl_rl.storage import RolloutStorage
@@ -252,8 +242,6 @@ class Learner:
         return algorithm
 
     def _tensor(self, array: NDArray[Any], dtype: Any) -> Any:
-        import torch
-
         return torch.from_numpy(array.astype(dtype)).to(self.device)
 
     def _tensors(self, seen: NDArray[np.float32]) -> Any:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
-from fastmimic.base.vectors import quat_to_matrix
+from fastmimic.base.vectors import copy, quat_about_z, quat_to_matrix
 from fastmimic.learning.config import FRAMES, HISTORY, IMU_SIZE
+from fastmimic.reference.table import next_period
 
 SENSES: Final = record_dtype(
     [
@@ -64,8 +65,7 @@ def act(settings: Any, actions: Array, senses: Any) -> None:
     for i in range(actions.shape[0]):
         memory = senses[i]
         for h in range(HISTORY - 1, 0, -1):
-            for j in range(12):
-                memory.actions[h, j] = memory.actions[h - 1, j]
+            copy(memory.actions[h - 1], memory.actions[h])
         for j in range(12):
             wanted = setting.home[j] + setting.action_scale * actions[i, j]
             if not np.isfinite(wanted):
@@ -102,10 +102,8 @@ def _push(settings: Any, rotation: Array, obs: Any, senses: Any) -> None:
     """Adds roll, pitch, their rates and the joint angles to the histories. Before the first step, fills these with the
     present state, and with the actions that would hold it."""
     for h in range(HISTORY - 1, 0, -1):
-        for k in range(IMU_SIZE):
-            senses.imu[h, k] = senses.imu[h - 1, k]
-        for j in range(12):
-            senses.joints[h, j] = senses.joints[h - 1, j]
+        copy(senses.imu[h - 1], senses.imu[h])
+        copy(senses.joints[h - 1], senses.joints[h])
     senses.imu[0, 0] = np.arctan2(rotation[2, 1], rotation[2, 2])
     senses.imu[0, 1] = np.arcsin(min(max(-rotation[2, 0], -1.0), 1.0))
     for k in range(2):  # body frame, as from a gyroscope
@@ -113,16 +111,14 @@ def _push(settings: Any, rotation: Array, obs: Any, senses: Any) -> None:
         for a in range(3):
             rate += rotation[a, k] * obs.ang_vel[a]
         senses.imu[0, 2 + k] = rate
-    for j in range(12):
-        senses.joints[0, j] = obs.joint_pos[j]
+    copy(obs.joint_pos, senses.joints[0])
     if senses.age >= 0:
         return
     senses.age = 0
     for h in range(HISTORY):
-        for k in range(IMU_SIZE):
-            senses.imu[h, k] = senses.imu[0, k]
+        copy(senses.imu[0], senses.imu[h])
+        copy(obs.joint_pos, senses.joints[h])
         for j in range(12):
-            senses.joints[h, j] = obs.joint_pos[j]
             senses.actions[h, j] = (obs.joint_pos[j] - settings.home[j]) / settings.action_scale
     for j in range(12):
         senses.filter_in[:, j] = senses.filter_out[:, j] = obs.joint_pos[j]
@@ -146,10 +142,7 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
     x = y = turned = 0.0  # of the frame's period relative to the present one
     if clock.repeats == 1:
         while sample >= n:
-            c, s = np.cos(turned), np.sin(turned)
-            x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-            y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-            turned += clock.cycle_step[2]
+            x, y, turned = next_period(clock, x, y, turned)
             sample -= n
     else:
         sample = min(sample, n - 1)  # after its end, the motion keeps its last sample
@@ -162,15 +155,9 @@ def _frame(table: Any, clock: Any, sample: int, yaw: float, out: NDArray[np.floa
     out[at] = c * x - s * y
     out[at + 1] = s * x + c * y
     out[at + 2] = then.root_pos[2] - now.root_pos[2]
-    half = 0.5 * (heading + turned)
-    c, s = np.cos(half), np.sin(half)
-    q = then.root_quat
-    w = c * q[0] - s * q[3]
-    sign = 1.0 if w >= 0 else -1.0
-    out[at + 3] = sign * w
-    out[at + 4] = sign * (c * q[1] - s * q[2])
-    out[at + 5] = sign * (c * q[2] + s * q[1])
-    out[at + 6] = sign * (c * q[3] + s * q[0])
-    for j in range(12):
-        out[at + 7 + j] = then.joint_pos[j]
+    q = quat_about_z(heading + turned, then.root_quat)
+    sign = 1.0 if q[0] >= 0 else -1.0
+    for k in range(4):
+        out[at + 3 + k] = sign * q[k]
+    copy(then.joint_pos, out[at + 7 : at + 19])
     return at + 19

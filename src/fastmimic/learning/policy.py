@@ -206,8 +206,7 @@ def _activate(kind: int, values: Array, n: int) -> None:
 
 @kernel
 def plan_legs(config: Any, tables: Any, clocks: Any, observations: Any, memories: Any) -> None:
-    """Runs the gait planner of all robots, so that leg states and early touch-downs mean the same as under the
-    model-based controller; a policy does not need it."""
+    """Runs the gait planner, for leg states and early touch-downs to compare with the model-based controller's."""
     for i in range(observations.shape[0]):
         ref = tables[min(i, tables.shape[0] - 1)][clocks[i].sample]
         for leg in range(4):

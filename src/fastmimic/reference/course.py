@@ -16,7 +16,7 @@ from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, turned_about_z, yaw_from_quat
-from fastmimic.base.vectors import copy, quat_turned
+from fastmimic.base.vectors import copy, quat_about_z, quat_turned
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
@@ -36,8 +36,7 @@ COURSE: Final = record_dtype(
     ]
 )
 """One sample, heading frame of the root, SI units: `step` and `turn` of the root to the next sample; `tilt` heading →
-body; velocities and accelerations, also those of the legs (`SAMPLE`); `foot` from the root on the ground, z of its
-centre; `gain` of `SAMPLE`."""
+body; `foot` from the root on the ground, z of its centre; and velocities, accelerations and `gain` as in `SAMPLE`."""
 
 
 def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
@@ -178,8 +177,7 @@ def advance_place(course: Any, following: Any, place: Any, tempo: float, follow:
 
 @kernel
 def fill_table(course: Any, following: Any, place: Any, work: Any, table: Any) -> None:
-    """Writes the coming reference into a table (t,) of `SAMPLE`, in the root's present heading frame; `place` is used
-    up."""
+    """Writes the coming reference to a table (t,) of `SAMPLE`, in the root's present heading frame; uses `place` up."""
     x0, y0, yaw0 = place.pose[0], place.pose[1], place.pose[2]
     co, so = np.cos(yaw0), np.sin(yaw0)
     beyond = False
@@ -298,11 +296,10 @@ def put_joints(work: Any, out: Any) -> None:
     for k in range(3):
         for leg in range(4):
             foot = work.feet[k, leg]
-            a, h, e, _ = leg_inverse(work.geometry[leg], foot[0], foot[1], foot[2])
-            j = 3 * leg
-            work.joints[k, j], work.joints[k, j + 1], work.joints[k, j + 2] = a, h, e
-            for i in range(j, j + 3):
-                work.joints[k, i] = min(max(work.joints[k, i], work.lower[i]), work.upper[i])
+            joints = leg_inverse(work.geometry[leg], foot[0], foot[1], foot[2])[:3]
+            for i in range(3):
+                j = 3 * leg + i
+                work.joints[k, j] = min(max(joints[i], work.lower[j]), work.upper[j])
     for j in range(12):
         before, now, after = work.joints[0, j], work.joints[1, j], work.joints[2, j]
         out.joint_pos[j] = now
@@ -319,7 +316,5 @@ def put_at(x: float, y: float, yaw: float, out: Any) -> None:
     out.root_pos[0], out.root_pos[1] = x, y
     for v in (out.lin_vel, out.ang_vel, out.lin_acc, out.ang_acc, out.leg_lin_acc, out.leg_ang_acc):
         v[0], v[1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
-    ch, sh = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
-    w, a, b, d = out.root_quat[0], out.root_quat[1], out.root_quat[2], out.root_quat[3]
-    out.root_quat[0], out.root_quat[1] = ch * w - sh * d, ch * a - sh * b
-    out.root_quat[2], out.root_quat[3] = ch * b + sh * a, ch * d + sh * w
+    q = out.root_quat
+    q[0], q[1], q[2], q[3] = quat_about_z(yaw, q)

@@ -1,10 +1,10 @@
 """Motions by name, whose transitions are made in the background, and what a robot follows live among them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,6 @@ from fastmimic.reference.standing import STAND, standing
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
 
-_Result = TypeVar("_Result")
-
 IN_PLACE: Final = "in-place"
 
 
@@ -49,9 +47,8 @@ class Entry:
 class MotionSet:
     """Motions by name. Getting up ends in "stand", and motions without a direct transition pass through "in-place";
     both are always there, all in `entries`. Raises `MotionError` for a motion that does not repeat, or is for another
-    robot or rate. The processes of `executor` make transitions in the background, and load the robot from `source`, a
-    file or by default the robot's name; without it they are made when they are needed. `regulator` is the
-    controller's."""
+    robot or rate. The processes of `executor` make transitions in the background, with the robot loaded from `source`,
+    a file or its name; without it, transitions are made when they are needed. `regulator` is the controller's."""
 
     def __init__(
         self,
@@ -111,19 +108,18 @@ class MotionSet:
         key = (before, after)
         known = self._transitions.get(key)
         if known is None or (known.done() and isinstance(known.exception(), BrokenExecutor)):
-            a, b = self.entries[before].motion, self.entries[after].motion
-            self._transitions[key] = self._made(make_course_transition, a, b, self._regulator)
+            self._transitions[key] = self._made(self.entries[before].motion, self.entries[after].motion)
         return self._transitions[key]
 
-    def _made(self, make: Callable[..., _Result], *given: Any) -> "Future[_Result]":
+    def _made(self, before: Motion, after: Motion) -> Future[CourseTransition | None]:
         """Computed in another process, or in this one if there is none."""
         if self._executor is not None:
             try:
-                return self._executor.submit(_made_there, self._source, make, *given)
+                return self._executor.submit(_made_there, self._source, before, after, self._regulator)
             except BrokenExecutor:
                 self._executor = None
-        future: Future[_Result] = Future()
-        future.set_result(make(self.robot, *given))
+        future: Future[CourseTransition | None] = Future()
+        future.set_result(make_course_transition(self.robot, before, after, self._regulator))
         return future
 
 
@@ -153,14 +149,13 @@ def warm_up(source: str) -> None:
     _robot_of(source)
 
 
-def _made_there(source: str, make: Callable[..., _Result], *given: Any) -> _Result:
-    return make(_robot_of(source), *given)
+def _made_there(source: str, *given: Any) -> CourseTransition | None:
+    return make_course_transition(_robot_of(source), *given)
 
 
 class LiveReference:
     """The reference of one robot at `rate_hz` control steps a second. `goal` is the motion requested, `start` at first;
-    `trouble` why the robot does not reach it, None if it does; `place` that of the reference, one record of
-    `make_place`."""
+    `trouble` why the robot does not reach it, None if it does; `place` that of the reference (`make_place`)."""
 
     def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
         self._library = library

@@ -43,10 +43,9 @@ SAMPLE: Final = record_dtype(
         *integers(sync=(), gain=()),
     ]
 )
-"""One sample of a reference, in the heading frame of the period's first sample. `swung` is the share of a leg's
-swing that is over. `leg_lin_acc` and `leg_ang_acc` are the
-accelerations that the ground must give beyond those of the body (`ground_acceleration`). `sync` is 1 where a cycle
-starts; `gain` is the row of the regulator's gains, one for each `GAIN_SAMPLES` samples."""
+"""One sample of a reference, in the heading frame of the period's first sample. `swung` is the share of a leg's swing
+that is over; `leg_lin_acc` and `leg_ang_acc` are the accelerations that the ground must give beyond those of the body
+(`ground_acceleration`). `sync` is 1 where a cycle starts; `gain` the row of gains, one for `GAIN_SAMPLES` samples."""
 
 GAIN_SAMPLES: Final = 4
 
@@ -184,13 +183,21 @@ def steps_due(clock: Any, n_samples: int, haste: float, table: Any) -> int:
         clock.ahead -= 1.0
         if clock.sample + 1 < n_samples:
             here, there = table[clock.sample].root_pos, table[clock.sample + 1].root_pos
-            _hold(clock, _in_world(clock, here), _in_world(clock, there))
+            _hold(clock, in_world(clock, here), in_world(clock, there))
         return 0
     return 1
 
 
 @inlined
-def _in_world(clock: Any, position: Array) -> tuple[float, float]:
+def next_period(clock: Any, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+    """The place of a period's origin, one period later."""
+    c, s, step = np.cos(yaw), np.sin(yaw), clock.cycle_step
+    return x + (c * step[0] - s * step[1]), y + (s * step[0] + c * step[1]), yaw + step[2]
+
+
+@inlined
+def in_world(clock: Any, position: Array) -> tuple[float, float]:
+    """World x and y of a sample's position (≥2,), m."""
     c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
     return clock.origin[0] + c * position[0] - s * position[1], clock.origin[1] + s * position[0] + c * position[1]
 
@@ -220,8 +227,7 @@ def synchronise(clock: Any, table: Any, x: float, y: float, moved_x: float, move
 
 @inlined
 def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) -> None:
-    """Advances by one sample; at a start of a cycle the origin is re-synchronised to the robot at (x, y). A motion that
-    does not repeat stays at its end."""
+    """Advances by one sample, at most to a motion's end; at a cycle's start the origin follows a robot at (x, y)."""
     if clock.repeats == 0 and clock.sample + 1 >= n_samples:
         return
     clock.sample += 1
@@ -229,10 +235,7 @@ def advance_clock(clock: Any, n_samples: int, x: float, y: float, table: Any) ->
     if clock.sample >= n_samples:
         clock.sample = 0
         clock.cycle += 1
-        c, s = np.cos(clock.origin[2]), np.sin(clock.origin[2])
-        moved_x += c * clock.cycle_step[0] - s * clock.cycle_step[1]
-        moved_y += s * clock.cycle_step[0] + c * clock.cycle_step[1]
-        clock.origin[2] += clock.cycle_step[2]
+        moved_x, moved_y, clock.origin[2] = next_period(clock, moved_x, moved_y, clock.origin[2])
     if table[clock.sample].sync == 1:
         synchronise(clock, table, x, y, moved_x, moved_y)
 
@@ -248,18 +251,17 @@ def taken_up_at(sample: int) -> float:
 def _take_up(clock: Any, table: Any, sample: int, x: float, y: float) -> None:
     """Goes to a sample in the same heading, with the root at (x, y)."""
     before, there = table[clock.sample].root_quat, table[sample].root_quat
-    place = _in_world(clock, table[clock.sample].root_pos)
+    place = in_world(clock, table[clock.sample].root_pos)
     clock.origin[2] += 2.0 * (np.arctan2(before[3], before[0]) - np.arctan2(there[3], there[0]))
     clock.sample = sample
-    _hold(clock, _in_world(clock, table[sample].root_pos), place)
+    _hold(clock, in_world(clock, table[sample].root_pos), place)
     synchronise(clock, table, x, y, clock.origin[0], clock.origin[1])
 
 
 @kernel
 def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> None:
     """Advances clocks (n,) by one control step; robot i follows table min(i, k − 1) of `tables` (k, t) of `SAMPLE`.
-    `root_xy` (n, ≥2) are the present positions of the robots, world, m; `haste` (n,) is that of their controllers'
-    `MEMORY`, or `taken_up_at`."""
+    `root_xy` (n, ≥2) are the robots' positions, world, m; `haste` (n,) that of `MEMORY`, or `taken_up_at`."""
     n_samples = tables.shape[1]
     for i in range(clocks.shape[0]):
         clock, table = clocks[i], tables[min(i, tables.shape[0] - 1)]
@@ -269,10 +271,10 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> No
         if due > 0:
             advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
         if due > 1:  # by a sample more: the feet go on, the root stays where it is
-            before = _in_world(clock, table[clock.sample].root_pos)
+            before = in_world(clock, table[clock.sample].root_pos)
             advance_clock(clock, n_samples, root_xy[i, 0], root_xy[i, 1], table)
             if table[clock.sample].sync == 0:
-                _hold(clock, _in_world(clock, table[clock.sample].root_pos), before)
+                _hold(clock, in_world(clock, table[clock.sample].root_pos), before)
 
 
 def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:

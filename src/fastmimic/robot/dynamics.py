@@ -42,8 +42,7 @@ def _inertia_times(
 def leg_inverse_dynamics(
     model: Any, leg: int, q: Array, dq: Array, ddq: Array, omega: Array, acceleration: Array, out: Array
 ) -> None:
-    """Joint torques `out` (3,), N·m, that give one leg without ground forces the accelerations `ddq`; rotor inertia
-    excluded.
+    """Joint torques `out` (3,), N·m, without rotor inertia, that give a leg the accelerations `ddq` in the air.
 
     `model` is a record of `MODEL`; `omega` (3,) is the trunk's angular velocity, rad/s, and `acceleration` (3,) that of
     the base's origin minus gravity, m/s² (standing still: +9.81 upwards), both in the body frame.

@@ -132,8 +132,7 @@ def foot_jacobians(robot: Robot, joint_pos: Array) -> Array:
 
 def inverse_kinematics(robot: Robot, foot_pos_b: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Joint angles (..., 12), rad, for foot centres (..., 4, 3), body frame, m; and whether each is reachable (..., 4).
-    Joint ranges are not considered. Out of reach, the angles are those of the nearest reachable point in the leg's
-    plane."""
+    Joint ranges do not count. Out of reach, the angles are those of the nearest point in reach, in the leg's plane."""
     p = np.ascontiguousarray(foot_pos_b, dtype=np.float64)
     n = p.size // 12
     q, reachable = np.empty((n, 12)), np.empty((n, 4), dtype=np.bool_)

@@ -153,26 +153,24 @@ def _trunk(model: mujoco.MjModel) -> int:
 
 
 def _leg_roots(model: mujoco.MjModel, trunk: int) -> list[int]:
-    """Bodies with a hinge directly below the trunk, apart from fixed bodies."""
-    below = range(trunk + 1, model.nbody)
-    roots = [body for body in below if model.body_jntnum[body] and _moving_parent(model, body) == trunk]
+    """The first bodies of the four legs."""
+    roots = bodies_below(model, trunk)
     if len(roots) != 4:
         raise RobotError(f"expected 4 legs on body '{model.body(trunk).name}', found {len(roots)}")
     return roots
 
 
-def _moving_parent(model: mujoco.MjModel, body: int) -> int:
-    parent = int(model.body_parentid[body])
-    while parent and not model.body_jntnum[parent]:
-        parent = int(model.body_parentid[parent])
-    return parent
+def bodies_below(model: mujoco.MjModel, body: int) -> list[int]:
+    """Bodies with a joint on a body, or on what is fixed to it."""
+    carrier = model.body_weldid[model.body_parentid]
+    return [int(b) for b in np.flatnonzero((model.body_jntnum > 0) & (carrier == body))]
 
 
 def _chain(model: mujoco.MjModel, root: int) -> list[int]:
     """The three bodies of a leg."""
     chain, children = [root], [root]
     while len(children) == 1 and len(chain) <= 3:
-        children = [b for b in range(model.nbody) if model.body_jntnum[b] and _moving_parent(model, b) == chain[-1]]
+        children = bodies_below(model, chain[-1])
         chain += children[:1]
     if len(chain) != 3 or any(model.body_jntnum[b] != 1 for b in chain):
         raise RobotError(f"{_label(model, root)} is not a chain of three links with one joint each")

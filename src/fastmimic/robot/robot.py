@@ -103,9 +103,8 @@ class Robot:
         return self.base_spec.copy()
 
     def model(self) -> "mujoco.MjModel":
-        """A compiled model of the robot alone, without ground or gains. It is compiled from `xml`, which identifies
-        results everywhere. If `xml` refers to files, such as meshes, it is compiled from the specification, which knows
-        their folder."""
+        """A compiled model of the robot alone, without ground or gains: of `xml`, which identifies results everywhere,
+        or, if that refers to files such as meshes, of the specification, which knows their folder."""
         import mujoco
 
         if ' file="' in self.xml:
@@ -119,8 +118,7 @@ class Robot:
 
     @property
     def content(self) -> bytes:
-        """The robot's content for digests: `xml` and the digest of its mesh files. MuJoCo writes rounded zeros for mesh
-        positions; these are left out."""
+        """Its content for digests: `xml`, without MuJoCo's rounded zeros for meshes' positions, and `files_digest`."""
         if not self.files_digest:
             return self.xml.encode()
         return (_NOWHERE.sub("", _ROUNDED_ZERO.sub("0", self.xml)) + self.files_digest).encode()
@@ -154,9 +152,8 @@ class Robot:
 
 
 def load_robot(robot: str | Path | Robot) -> Robot:
-    """Returns a built-in robot by name, or reads the user's own MJCF, URDF or folder with one URDF; a `Robot` is
-    returned unchanged. Raises `RobotError`: no such robot or file, neither MJCF nor URDF, or not a quadruped with
-    abduction, hip and knee joints."""
+    """A built-in robot by name, or the user's own MJCF, URDF or folder with one URDF; a `Robot` as it is. Raises
+    `RobotError`: no such robot or file, neither MJCF nor URDF, or no quadruped with abduction, hip and knee joints."""
     import mujoco
 
     from fastmimic.robot.mjcf import check_elements, one_line, robot_from_spec, warn_by_log

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from fastmimic.base.errors import RobotError
-from fastmimic.robot.mjcf import DEFAULT_JOINT_SPEED_LIMIT, SPEED_LIMIT, one_line, robot_from_spec
+from fastmimic.robot.mjcf import DEFAULT_JOINT_SPEED_LIMIT, SPEED_LIMIT, bodies_below, one_line, robot_from_spec
 from fastmimic.robot.robot import Robot
 
 MOST_FOLDERS: Final = 2000  # that are searched: a vendor's has some dozens
@@ -119,9 +119,8 @@ def _add_feet(spec: mujoco.MjSpec) -> list[str]:
     added = []
     for knee in np.flatnonzero(model.body_jntnum):
         group = np.flatnonzero(model.body_weldid == knee)
-        below = [b for b in np.flatnonzero(model.body_jntnum) if model.body_weldid[model.body_parentid[b]] == knee]
         geoms = np.isin(model.geom_bodyid, group) & (model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE)
-        if below or len(group) == 1 or geoms.any():
+        if bodies_below(model, int(knee)) or len(group) == 1 or geoms.any():
             continue
         away = np.linalg.norm(data.xpos[group] - data.xpos[knee], axis=1)
         foot = spec.body(model.body(group[away.argmax()]).name)

@@ -1,8 +1,7 @@
 """The conditions of episodes: simulator, ground, what the controller observes, and disturbances with their strengths.
 
 A disturbance is a deviation from robot and ground of the optimisation, unknown to the controller. On the command line:
-`name=value`, a push also `name=value@time`. For randomised robots they are drawn from ranges, `name=lower:upper`, for
-each robot of a batch.
+`name=value`, a push also `name=value@time`. For each of a batch of robots it can be drawn from `name=lower:upper`.
 """
 
 import math
@@ -271,18 +270,15 @@ def parse_range(text: str) -> Range:
 
 
 def draw_uniform(ranges: Sequence[Range], n: int, rng: np.random.Generator) -> tuple[Disturbance, ...]:
-    """Draws n robots independently of each other, for a training, which can be resumed at any step. Raises
-    `ConfigError` if a disturbance has two ranges, happens at a time, or is a delay (commands under way are not part of
-    the training's state)."""
+    """Draws n robots independently of each other, for a training. Raises `ConfigError` if a disturbance has two ranges,
+    happens at a time, or is a delay (commands under way are not in the state from which a training resumes)."""
     names = [r.name for r in ranges]
+    possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
     for name in names:
         if names.count(name) > 1:
             raise ConfigError(f"the range of '{name}' is given twice")
-    possible = [name for name in usual_ranges() if not DISTURBANCES[name].timed and name != "delay"]
-    for r in ranges:
-        if r.name not in possible:
-            raise ConfigError(f"'{r.name}' cannot differ between robots; what can: {', '.join(possible)}")
-
+        if name not in possible:
+            raise ConfigError(f"'{name}' cannot differ between robots; what can: {', '.join(possible)}")
     return tuple(Disturbance(r.name, tuple(rng.uniform(r.lower, r.upper, n).tolist())) for r in ranges)
 
 

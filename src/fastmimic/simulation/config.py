@@ -19,9 +19,8 @@ class SensorConfig:
     the BMI088, a usual IMU of this class: its offsets move by 0.2 mg and 0.015 °/s a kelvin, which leaves some 3 mg and
     0.1 °/s after a cold calibration at rest; [C] the motors' serial protocol in Unitree's actuator SDK (position 2¹⁴
     counts a turn of the rotor, speed 1/128 rad/s, torque 1/256 N·m before the gear of 9.1); [D] users' reports that the
-    feet's pressure sensors drift (unitree_legged_sdk, issue 86). The rest is assumed: latency, as of state messages of
-    500 Hz read one period late; the feet's offsets after zeroing in the air; joint offsets; and the tilt error by
-    walking.
+    feet's pressure sensors drift (unitree_legged_sdk, issue 86). The rest is assumed: latency, as of messages at 500 Hz
+    read one period late; the feet's offsets after zeroing in the air; joint offsets; the tilt error by walking.
     """
 
     imu_rate_hz: float = 500.0

@@ -1,5 +1,4 @@
-"""MuJoCo: n robots on the ground, stepped as one batch on native threads; also with disturbances
-(`fastmimic.simulation.disturbance_kinds`).
+"""MuJoCo: n robots on the ground, also with disturbances, stepped as one batch on native threads.
 
 The motor law τ + k_p (q* − q) + k_d (q̇* − q̇), clipped to the torque limit, runs at physics rate inside MuJoCo: each
 joint has an affine actuator with the gains in its bias, per robot and per step.
@@ -57,20 +56,17 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
                 geom.conaffinity = 0b11111 ^ geom.contype
     for name, shape in floor_shapes(spec, ground).items():
         spec.worldbody.add_geom(name=name, friction=[GROUND_FRICTION, 0.005, 0.0001], contype=1, conaffinity=0, **shape)
+    motor = {"trntype": mujoco.mjtTrn.mjTRN_JOINT, "forcelimited": True}
+    motor |= {"gaintype": mujoco.mjtGain.mjGAIN_FIXED, "biastype": mujoco.mjtBias.mjBIAS_AFFINE}
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
-        actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        actuator = spec.add_actuator(name=joint, target=joint, forcerange=[-limit, limit], **motor)
         actuator.gainprm[0] = 1.0
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.forcelimited = True
-        actuator.forcerange = [-limit, limit]
     found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
     wanted = found | 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)  # (1) and the net force in the world frame (3)
     body, sphere = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_GEOM
     touched = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": body, "objname": WORLD}
     for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):  # 3: the net force
-        foot = spec.add_sensor(name=f"{leg}_ground_force", **touched, intprm=[wanted, 3, 1])
-        foot.reftype, foot.refname = sphere, geom
+        spec.add_sensor(name=f"{leg}_ground_force", **touched, reftype=sphere, refname=geom, intprm=[wanted, 3, 1])
     trunk = {} if ground is None else {"reftype": body, "refname": _trunk_of(spec)}
     spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
@@ -191,9 +187,8 @@ class MujocoSimulation(Disturbed):
         ground: Terrain | None = None,
         ideal: bool = False,
     ) -> None:
-        """`robot` is without the disturbances. With `ideal`, motors have their torque at any speed, and legs pass
-        through each other. Raises `ConfigError` if the physics rate is not a multiple of the control rate, or as
-        `make_world`."""
+        """`robot` is without the disturbances; `ideal` as in `Conditions`. Raises `ConfigError` as `make_world`, or if
+        the physics rate is not a multiple of the control rate."""
         super().__init__(make_world(disturbances, n, "mujoco"), control_rate_hz)
         self.ground = ground
         self.model = build_model(robot, ground, ideal=ideal)
@@ -235,8 +230,7 @@ class MujocoSimulation(Disturbed):
         self.observe()
 
     def place(self, rows: NDArray[np.int64], *state: Array) -> None:
-        """Puts some robots (k,) into given states and leaves the others alone; arrays (k, …) as in `reset`. Their
-        contact forces are 0 until the next step."""
+        """Puts robots `rows` (k,) into states (k, …) as in `reset`; their contact forces are 0 until the next step."""
         self.batch.reset(rows, stage=int(mujoco.mjtStage.mjSTAGE_NONE))
         self._set(rows, Placement(*state))
         self.observe()

@@ -50,10 +50,9 @@ class PybulletSimulation(Disturbed):
         control_rate_hz: float = 500.0,
         ideal: bool = False,
     ) -> None:
-        """Bullet and the motor law step at `PHYSICS_RATE_HZ`; `ground` is a plane or a height field, flat if None; a
-        disturbance has one value, or one for each robot; `ideal` as in `Conditions`. Raises `ConfigError` if PyBullet
-        is missing, the robot (of `PYBULLET_URDFS`) or a disturbance is not supported, or the physics rate is not a
-        multiple of the control rate."""
+        """Bullet and the motor law step at `PHYSICS_RATE_HZ`; `ground` is a plane or a height field, flat if None;
+        `ideal` as in `Conditions`. Raises `ConfigError` as `make_world`, if PyBullet is missing or the robot none of
+        `PYBULLET_URDFS`, or if the physics rate is not a multiple of the control rate."""
         pybullet, BulletClient = require_pybullet()
         description = read_description(robot)
         super().__init__(world := make_world(disturbances, n, "pybullet"), control_rate_hz)
@@ -178,9 +177,8 @@ class _Body:
     def drive(self, command: Any, limit: Array, strength: float, top_speed: Array) -> None:
         """The motor law for one physics step."""
         bullet = self._bullet
-        states = bullet.getJointStates(self.id, self.joints)
-        position = np.array([state[0] for state in states])
-        velocity = np.array([state[1] for state in states])
+        positions, velocities, *_ = zip(*bullet.getJointStates(self.id, self.joints), strict=True)
+        position, velocity = np.array(positions), np.array(velocities)
         torque = commanded_torque(command, position, velocity)
         most = np.where(torque * velocity > 0, driving_limit(limit, top_speed, velocity), limit)
         torque = strength * np.clip(torque, -most, most)
@@ -203,9 +201,7 @@ class _Body:
         out["root_quat"] = quat
         out["lin_vel"] = velocity - np.cross(turning, arm)
         out["ang_vel"] = turning
-        states = bullet.getJointStates(self.id, self.joints)
-        out["joint_pos"] = [state[0] for state in states]
-        out["joint_vel"] = [state[1] for state in states]
+        out["joint_pos"], out["joint_vel"], *_ = zip(*bullet.getJointStates(self.id, self.joints), strict=True)
         forces, others = np.zeros((4, 3)), 0
         for contact in bullet.getContactPoints(bodyA=self.id, bodyB=self.ground) if self.ground >= 0 else ():
             force = contact[9] * np.array(contact[7]) + contact[10] * np.array(contact[11])

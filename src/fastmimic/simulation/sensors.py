@@ -128,18 +128,14 @@ def _measure(
     depth = ring.shape[1]
     for i in range(truths.shape[0]):
         e, truth, noise = errors[i], truths[i], noises[i, at]
-        now, last = ring[i, e.tick % depth], ring[i, (e.tick + depth - 1) % depth]
+        ring[i, e.tick % depth] = ring[i, (e.tick + depth - 1) % depth]  # what is not measured now stays
+        now = ring[i, e.tick % depth]
         if e.tick % c.periods[0] == 0:
             _measure_imu(c, e, noise, truth, now, work[:3], work[3])
-        else:
-            now.quat, now.gyro, now.accel = last.quat, last.gyro, last.accel
         if e.tick % c.periods[1] == 0:
             _measure_joints(c, e, noise, truth, commands[i], now)
-        else:
-            now.joint_pos, now.joint_vel, now.torque = last.joint_pos, last.joint_vel, last.torque
-        for leg in range(4):
-            now.foot_force[leg] = last.foot_force[leg]
-            if e.tick % c.periods[2] == 0:
+        if e.tick % c.periods[2] == 0:
+            for leg in range(4):
                 force = e.foot_gain[leg] * max(truth.foot_force[leg, 2], 0.0) + e.foot_offset[leg]
                 force = e.foot_scale * (force + c.foot_noise * noise.foot[leg]) + e.foot_constant
                 now.foot_force[leg] = _rounded(force, c.foot_quantum)
@@ -155,12 +151,10 @@ def _measure(
 
 
 class Sensors:
-    """The sensors of n robots. A robot's noise depends on its own generator alone. `command` is what `to_motors` last
-    made."""
+    """Sensors of n robots, with noise of each one's own generator alone. `command` is what `to_motors` last made."""
 
     def __init__(self, robot: Robot, n: int, rate_hz: float, config: SensorConfig, world: World | None = None) -> None:
-        """`world` holds the robots' disturbances: the delay of the motors' commands, and the foot sensors'
-        scale and offset; none if None."""
+        """`world` has the delay of the motors' commands, and scale and offset of the foot sensors; None for neither."""
         self._world = world = world if world is not None else make_world((), n, "mujoco")
         self.config, self._config = config, _pack(config, robot, rate_hz)
         self._errors = np.zeros(n, _ERRORS)
@@ -197,8 +191,7 @@ class Sensors:
 
     def measure(self, truth: NDArray[Any], commands: NDArray[Any]) -> NDArray[Any]:
         """Readings (n,) of `READING` that have arrived at the end of a control step; overwritten by the next call.
-        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` the motors' commands for
-        it."""
+        `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` are the motors'."""
         at = self._step % _BLOCK
         if at == 0:
             for rng, block in zip(self._generators, self._normals, strict=True):

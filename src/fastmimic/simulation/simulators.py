@@ -47,8 +47,7 @@ class Simulation(Protocol):
 @dataclass(frozen=True)
 class Simulator:
     """A simulator: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation; `check` raises
-    `ConfigError` if it is not installed or does not know the robot; `realizes` names the disturbances that it has by
-    itself, without the disturbance's own functions."""
+    `ConfigError` if it is missing or does not know the robot; `realizes` names the disturbances that it has itself."""
 
     name: str
     about: str

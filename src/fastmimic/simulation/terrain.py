@@ -40,8 +40,7 @@ _UNDER: Final = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2) 
 
 
 class GroundPlane(NamedTuple):
-    """Planes through the ground: their heights (…) under robots, m, and the smallest rotations (…, 4) from a frame with
-    z along the normal to the world."""
+    """Planes through the ground: heights (…) under robots, m, and the smallest rotations (…, 4) of z to the normal."""
 
     height: Array
     quat: Array
