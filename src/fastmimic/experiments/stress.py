@@ -183,16 +183,11 @@ def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) ->
         success = max(t.nominal_success for t in found if t.method == m)
         said.append(f"{method_named(m).label} {float(np.mean(nominal)):.3f}, {success:.0%} without a fall")
     told = asdict(settings) | {name: rows[0][name] for name in ("motion", "duration_s")}
-    lines = [
-        CAPTIONS["stress"].format(success=SUCCESS, **told)
-        + (f" **Unfinished: {missing} sweeps are missing.**" if missing else ""),
-        "",
-        *markdown_table(["disturbance", "tried", *(method_named(m).label for m in methods)], body),
-        "",
-        f"Undisturbed, mean reward and success over the same starts: {'; '.join(said)}.",
-        "",
-    ]
-    return "\n".join(lines)
+    unfinished = f" **Unfinished: {missing} sweeps are missing.**" if missing else ""
+    caption = CAPTIONS["stress"].format(success=SUCCESS, **told) + unfinished
+    table = markdown_table(["disturbance", "tried", *(method_named(m).label for m in methods)], body)
+    undisturbed = f"Undisturbed, mean reward and success over the same starts: {'; '.join(said)}."
+    return "\n".join([caption, "", *table, "", undisturbed, ""])
 
 
 def _withstood(t: Tolerance | None) -> str:
