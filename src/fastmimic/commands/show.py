@@ -46,11 +46,8 @@ def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
     if column == "kinematic":
         figures = metrics["kinematic"] | {"reward_animal": metrics["kinematic"]["reward_mean"]}
     else:
-        figures = {name: metrics[name][column] for _, name, *_ in _FIGURES}
-        figures |= {name: metrics[name][column] for name in ("fell", "swing_clearance_m")}
-        figures |= {"reward_mean": metrics["reward"][column]}
-        figures |= {"components": metrics["reward"][f"components_{column}"]}
-        figures |= {"reward_animal": metrics.get("reward_animal", {}).get(column)}
+        figures = {name: pair[column] for name, pair in metrics.items() if isinstance(pair, dict) and column in pair}
+        figures |= {"reward_mean": figures["reward"], "components": metrics["reward"][f"components_{column}"]}
     swings = zip(figures["swing_clearance_m"], metrics["swing_clearance_m"]["demonstration"], strict=True)
     shares = [realised / wanted for realised, wanted in swings if realised is not None and wanted]
     cells = figure_rows(
@@ -107,10 +104,8 @@ def put_result(
     if not result.interrupted:
         note(f"to look closer: fastmimic view {folder.path}")
         return 0
-    note(
-        f"fastmimic: interrupted after {result.iterations} of {iterations or 'at most 200'} iterations;"
-        f" the result is the best so far, and --out {folder.path} --resume continues"
-    )
+    said = f"interrupted after {result.iterations} of {iterations or 'at most 200'} iterations"
+    note(f"fastmimic: {said}; the result is the best so far, and --out {folder.path} --resume continues")
     return EXIT_INTERRUPTED
 
 
