@@ -20,6 +20,7 @@ from fastmimic.base.rotations import roll_pitch_from_quat
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.segment import DISCRETE, Segment, SegmentConfig, take_of
 from fastmimic.episode.feasibility import SAMPLE_S
+from fastmimic.episode.metrics import mean_of_known
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.measurement import foot_courses, shown_window
 from fastmimic.imitation.imitate import Imitation
@@ -144,9 +145,7 @@ def _same_span(row: NDArray[np.object_], drawn: list[Array], shown: Flags) -> No
 
 def rmse(values: Array, reference: Array) -> float:
     """Root mean square difference over the samples where both are finite; NaN if there are none."""
-    error = values - reference
-    error = error[np.isfinite(error)]
-    return float(np.sqrt(np.mean(error**2))) if error.size else float("nan")
+    return float(np.sqrt(mean_of_known(np.square(values - reference))))
 
 
 def run_figure(result: Imitation) -> Figure:
