@@ -88,12 +88,11 @@ def paths(e: "RerunEpisodes") -> Figure:
 def gait(e: "RerunEpisodes") -> Figure:
     """Each leg's contact schedule, gait planner state, and measured load."""
     threshold = e.config.release_force(e.robot)
-    rows = [
-        Key("wanted by the motion", "var(--demo)", pattern=""),
-        Key("state machine: stance", "var(--after)", pattern="/"),
-        Key("foot loaded", "var(--before)", pattern="."),
-    ]
-    words = ("wanted", "state", "loaded")
+    rows = {
+        "wanted": Key("wanted by the motion", "var(--demo)", pattern=""),
+        "state": Key("state machine: stance", "var(--after)", pattern="/"),
+        "loaded": Key("foot loaded", "var(--before)", pattern="."),
+    }
     border = Key("", "var(--line)")
     shares: list[float] = []
     plots = []
@@ -101,7 +100,7 @@ def gait(e: "RerunEpisodes") -> Figure:
         alive = int(rollout.steps[0])
         loaded = log.observation["foot_force"][0, :, :, 2] > threshold
         data = []
-        for source, row, word in zip((log.wanted[0], log.stance[0], loaded), rows, words, strict=True):
+        for source, (word, row) in zip((log.wanted[0], log.stance[0], loaded), rows.items(), strict=True):
             found = [(leg, *span) for leg in range(4) for span in stretches(source[:alive, leg])]
             data.append(
                 {
@@ -119,12 +118,12 @@ def gait(e: "RerunEpisodes") -> Figure:
         borders = [draw.rule(border, y=3 * leg - 0.5, width=1) for leg in range(1, 4)]
         layout = draw.layout_of("time (s)", "", 330, e.first_window, hovermode="closest", barmode="overlay")
         layout["shapes"] = [*borders, *e.segment_lines]
-        layout["yaxis"] |= {**draw.rows_axis([f"{leg} {word}" for leg in LEGS for word in words]), "showgrid": False}
+        layout["yaxis"] |= {**draw.rows_axis([f"{leg} {word}" for leg in LEGS for word in rows]), "showgrid": False}
         shares.append(100 * float(np.mean(log.stance[0, :alive] == log.wanted[0, :alive])) if alive else 0.0)
         plots.append(Plot("" if key is ONLY else _short(key), data, layout))
     title = f"Gait: the legs are in the state that the motion wants {arrow(shares, 1)} % of the time"
     told = {"share": 100 * e.config.gait.release_threshold, "force": threshold}
-    return Figure("gait", title, plots, len(plots), rows, told=told)
+    return Figure("gait", title, plots, len(plots), tuple(rows.values()), told=told)
 
 
 def reward(e: "RerunEpisodes") -> Figure:
