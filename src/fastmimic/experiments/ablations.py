@@ -25,8 +25,7 @@ class Ablation:
 
     def change(self, config: ControllerConfig) -> ControllerConfig:
         """The variant's configuration, in place of the method's."""
-        found: ControllerConfig = changed(CONFIGS["paper"] if self.paper else config, self.changes, self.name)
-        return found
+        return changed(CONFIGS["paper"] if self.paper else config, self.changes, self.name)
 
 
 ABLATIONS: Final = Registry("ablation", packaged("fastmimic.experiments", "ablations.json", tuple[Ablation, ...]))
