@@ -119,14 +119,12 @@ def _extras() -> dict[str, list[str]]:
 
 
 def _installed(extra: str, packages: list[str]) -> tuple[bool, str]:
-    missing = [name for name in packages if not _is_installed(name)]
+    here, missing = [], []
+    for name in packages:
+        try:
+            here.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            missing.append(name)
     if missing:
         return False, f"{', '.join(missing)} missing: pip install 'fastmimic[{extra}]'"
-    return True, ", ".join(f"{name} {metadata.version(name)}" for name in packages)
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        return bool(metadata.version(package))
-    except metadata.PackageNotFoundError:
-        return False
+    return True, ", ".join(here)
