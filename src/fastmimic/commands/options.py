@@ -4,8 +4,8 @@ import dataclasses
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, dataclass_transform
@@ -242,22 +242,20 @@ class SteeredBy:
     topic: Annotated[str | None, option("NAME")] = None
     commands: Annotated[Path | None, option("FILE.csv")] = None
 
-    @contextmanager
-    def opened(self, interface: str | None = None, domain: int | None = None) -> "Iterator[Commands | None]":
+    def opened(
+        self, interface: str | None = None, domain: int | None = None
+    ) -> "AbstractContextManager[Commands | None]":
         """Where the velocities come from, if from elsewhere; a topic by a network interface and in a DDS domain, those
         of this computer's ROS 2 if None."""
         from fastmimic.steering.commands import CommandScript, CommandSocket
 
         if self.udp is not None:
-            with closing(CommandSocket(self.udp)) as receiver:
-                yield receiver
-        elif self.topic is not None:
+            return closing(CommandSocket(self.udp))
+        if self.topic is not None:
             from fastmimic.deploy.dds.ros import CommandTopic
 
-            with closing(CommandTopic(self.topic, interface, domain)) as topic:
-                yield topic
-        else:
-            yield None if self.commands is None else CommandScript(self.commands)
+            return closing(CommandTopic(self.topic, interface, domain))
+        return nullcontext(None if self.commands is None else CommandScript(self.commands))
 
     def gaits(self, robot: str | None) -> "GaitField":
         """The gaits of a robot, by name or file; says how far it is when they are made."""
