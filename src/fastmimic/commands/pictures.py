@@ -1,7 +1,6 @@
 """Motions to look at: `fastmimic render` (videos), `report` (HTML files), `view` and `play` (in the browser)."""
 
 import dataclasses
-import math
 import sys
 import threading
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from tyro.conf import Positional
 
 from fastmimic.base.configuration import parse_pair
-from fastmimic.base.errors import ConfigError, MotionError, OutputError
+from fastmimic.base.errors import ConfigError, MotionError, OutputError, check_positive
 from fastmimic.base.progress import count_progress, note, slow_start
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import put
@@ -92,8 +91,8 @@ class Render:
         opt.check_duration(self.duration)
         _ = QUALITIES[self.quality]
         for name, value in (("--frame-rate", self.frame_rate), ("--slow-motion", self.slow_motion)):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"{name} must be positive, found {value:g}")
+            if value is not None:
+                check_positive(value, name, shown=f"{value:g}")
         if len(self.method) not in (0, 1, len(self.motions)):
             takes = f"--method takes one name, or one for each of the {len(self.motions)} motions"
             raise ConfigError(f"{takes}; found {len(self.method)}")

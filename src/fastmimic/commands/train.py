@@ -59,8 +59,7 @@ class Train:
         from fastmimic.learning.learner import TrainingSettings, check_installed, choose_device
         from fastmimic.learning.training import CHECKPOINT, TrainingFolder, train
 
-        ranges = tuple(parse_range(text) for text in self.randomize)
-        settings = opt.apply(TrainingSettings, self, randomize=ranges)
+        settings = opt.apply(TrainingSettings, self, randomize=tuple(map(parse_range, self.randomize)))
         check_installed()
         device = choose_device(self.device)
         robot, motion = self.clip.load(self.motion, self.robot)
