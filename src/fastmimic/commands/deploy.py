@@ -50,11 +50,7 @@ class SimulatedRobotOptions:
 
 @opt.command
 class Deploy:
-    """Stands up, blends into the motion, runs it, blends out and sits down, at 500 Hz, using onboard sensors only.
-
-    In the terminal, space, Enter and q stop the robot at once, as SIGINT (Ctrl-C) and SIGTERM do: its joints are damped
-    and it sinks down. s makes it sit down. Read docs/deploy.md before the first time.
-    """
+    """Stands up, blends into the motion, runs it, blends out and sits down, at 500 Hz, using onboard sensors only."""
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     driver: Annotated[str, opt.option("NAME", lambda: f"Robot: {', '.join(DRIVERS)} (simulated).")]

@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 
 @opt.command
 class Evaluate:
-    """Runs episodes of a motion in simulation and scores them against its demonstration.
-
-    Episode 0 starts at the motion's start, unperturbed. The others start at a random phase, with joint angles off by up
-    to 0.05 rad and the base velocity by up to 0.1 m/s.
-    """
+    """Runs episodes of a motion in simulation and scores them against its demonstration."""
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     episodes: int = 1
@@ -169,11 +165,7 @@ def put_figures(figures: dict[str, Any], robot: str) -> None:
 
 @opt.command
 class Identify:
-    """Estimates the ground's friction and the trunk's payload from a deployment; the result holds for all motions.
-
-    A few seconds of 'fastmimic deploy' are enough, on a robot or with --driver sim. The result is a controller
-    configuration for --config FILE.json of other verbs.
-    """
+    """Estimates the ground's friction and the trunk's payload from a deployment; the result holds for all motions."""
 
     log: Annotated[Positional[Path], opt.option("DEPLOYMENT")]
     robot: Annotated[str | None, opt.shared("NAME|FILE", "log's robot")] = None

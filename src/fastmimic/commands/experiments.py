@@ -38,12 +38,7 @@ if TYPE_CHECKING:  # loads the compiler
 
 @opt.command
 class Compare:
-    """Runs several methods on several motions with several seeds, and writes tables and figures.
-
-    Writes results.csv, table.md, comparison.png, tracking.png and environment.json; with --ablations also ablations.md
-    and ablations.png. Each finished run is kept: after Ctrl-C or a crash, --resume runs the others, also with more
-    motions, methods or seeds. The results cover everything that is finished in the folder.
-    """
+    """Runs several methods on several motions with several seeds, and writes tables and figures."""
 
     motions: Annotated[tuple[str, ...] | None, opt.option("MOTION ...")] = None
     builtin: opt.Flag = False
@@ -236,12 +231,7 @@ class ExperimentOptions:
 
 @opt.command
 class Stress(ExperimentOptions):
-    """Runs a motion over a range of each disturbance and measures how much it tolerates.
-
-    A method that optimises does so first, without disturbance; an optimised motion is not re-optimised. Writes
-    results.csv, table.md, success.png and reward.png. Each finished sweep (one method, one disturbance) is kept: after
-    Ctrl-C, --resume runs the others, also with more methods or disturbances.
-    """
+    """Runs a motion over a range of each disturbance and measures how much it tolerates."""
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp", "raibert")
@@ -281,12 +271,7 @@ class Stress(ExperimentOptions):
 @opt.command
 class Transfer(ExperimentOptions):
     """Optimises motions in MuJoCo with the true state, then runs them without change under conditions that differ more
-    and more.
-
-    (a) MuJoCo with sensors and an estimator; (b) PyBullet with the true state; (c) PyBullet with sensors, an estimator,
-    motors with delay and friction, and ground friction 0.6. Writes results.csv, table.md and
-    transfer.png. The trials of each motion and method are kept: after Ctrl-C, --resume runs the others.
-    """
+    and more."""
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION ...")]
     methods: Annotated[tuple[str, ...], opt.option("METHOD ...")] = ("mbc", "mbc-dmp")

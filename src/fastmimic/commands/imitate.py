@@ -81,11 +81,7 @@ class SearchRun:
 @opt.command
 class Imitate(SearchRun):
     """Turns a motion into one that the robot can execute: retargets it, fits DMPs, and optimises them in closed-loop
-    simulation. A motion that is run once is optimised with --iterations only.
-
-    Writes motion.npz, metrics.json, config.json, convergence.png, tracking.png and video.mp4. Ctrl-C stops the search
-    and keeps the best motion so far.
-    """
+    simulation. A motion that is run once is optimised with --iterations only."""
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     duration: Annotated[float, opt.option("S")] = 5.0
@@ -152,11 +148,7 @@ class Imitate(SearchRun):
 @opt.command
 class Stitch(SearchRun):
     """Joins motions into one, each repeated for several cycles, and optimises the DMPs of all of them together. The
-    search starts from the optimum of each motion; motions that are not optimised yet are optimised first.
-
-    Writes what 'imitate' writes, with figures for each segment. Ctrl-C stops the search and keeps the best motion so
-    far, if the joint search had started.
-    """
+    search starts from the optimum of each motion; motions that are not optimised yet are optimised first."""
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION MOTION ...")]
     cycles: Annotated[tuple[int, ...], opt.option("N [N ...]")] = ()

@@ -35,11 +35,7 @@ _LISTED: Final = (*("id", "name", "robot", "seed", "gait", "footfall", "grade"),
 class Build:
     """Builds a library of motions from folders, lists, files and names: finds the cycles in long takes, retargets and
     optimises them, tests each motion from perturbed starts, on other robots and in a second simulator, grades it, and
-    keeps a record.
-
-    Finished motions are kept: the same command continues after Ctrl-C, a crash or a full disk, and adds what is new.
-    The exit status is 3 if some sources or motions failed; all others are built.
-    """
+    keeps a record."""
 
     sources: Annotated[Positional[tuple[str, ...]], opt.option("FOLDER|LIST|MOTION ...")]
     out: Annotated[Path, opt.option("LIBRARY")]
@@ -227,10 +223,7 @@ class LibraryExport(_Choice):
 
 @opt.command
 class Verify:
-    """Reads everything in a library and lists what is damaged; with --rerun also runs some motions again.
-
-    The exit status is 3 if something is wrong.
-    """
+    """Reads everything in a library and lists what is damaged; with --rerun also runs some motions again."""
 
     library: LibraryFolder
     rerun: Annotated[int, opt.option("N")] = 0

@@ -32,10 +32,7 @@ SIMULATED: Final = ("go2",)
 @opt.command
 class Play:
     """Simulates a robot under the controller live in the browser. Switch motions or steer, push the robot, change
-    friction and payload, by mouse, keyboard or gamepad. A robot that falls gets up again.
-
-    The server answers this machine's browsers only, at the whole address that it prints; Ctrl-C ends it.
-    """
+    friction and payload, by mouse, keyboard or gamepad. A robot that falls gets up again."""
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("[MOTION|RUN ...]")] = ()
     robot: opt.RobotChoice = None
@@ -114,10 +111,7 @@ class FaultOptions:
 @opt.command
 class RobotSim:
     """Simulates a Go2 that speaks the real DDS protocol: it runs in MuJoCo in real time, publishes its state and obeys
-    low-level commands. 'fastmimic deploy' and Unitree's own SDK talk to it.
-
-    It is reachable on this computer only, unless another interface is named. Ctrl-C ends it.
-    """
+    low-level commands. 'fastmimic deploy' and Unitree's own SDK talk to it."""
 
     robot: Annotated[str, opt.option("NAME|FILE")] = "go2"
     interface: Annotated[str, opt.option("NAME")] = "lo"

@@ -320,13 +320,7 @@ class Retarget:
 
 @opt.command
 class Export:
-    """Writes a robot motion in a format that other trainers read.
-
-    mjlab: .npz of joints and bodies as mjlab and BeyondMimic track them. isaaclab: the same for Isaac Lab's AMP.
-    deepmimic: JSON text, 19 numbers a frame. csv: the same numbers, one line a frame. amp: JSON text, 61 numbers a
-    frame, as AMP_for_hardware reads. motion-lib: .npz of root and joints. lerobot: a folder of executed runs, states
-    with the motors' targets and torques, for LeRobot. An optimised motion is written as optimised.
-    """
+    """Writes a robot motion in a format that other trainers read."""
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     format: Annotated[str, opt.option("NAME", lambda: f"Format: {', '.join((*EXPORTS, LEROBOT))}.")]

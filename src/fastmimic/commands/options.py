@@ -69,10 +69,11 @@ def shared(metavar: str | None, name: str) -> Any:
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def command(kind: type[Kind]) -> type[Kind]:
     """A class decorator of verbs and groups of options: a frozen dataclass whose fields, by keyword, are options. Their
-    help texts are those of `help.json` by the names of class and field; they end up in the docstring."""
-    texts = _TEXTS.get(kind.__name__, {})
+    help texts, and more about a verb, are those of `help.json` by class and field; all of it is in the docstring."""
+    details, texts = _TEXTS["details"].get(kind.__name__), _TEXTS.get(kind.__name__, {})
     lines = "".join(f"\n        {name}: {text}" for name, text in texts.items())
-    kind.__doc__ = f"{kind.__doc__}\n\n    Attributes:{lines}\n    " if texts else kind.__doc__
+    parts = (kind.__doc__, details, f"Attributes:{lines}\n    " if texts else None)
+    kind.__doc__ = "\n\n    ".join(filter(None, parts))
     return dataclass(frozen=True, kw_only=True)(kind)
 
 

@@ -141,12 +141,7 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
 class WriteReport:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
     'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip, a
-    motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'.
-
-    The two nominal episodes of a run are simulated again for the plots and checked against its metrics.json. Needs
-    Jinja2 and Plotly: pip install 'fastmimic[report]'. With viser (pip install 'fastmimic[view]') the file has a 3D
-    replay.
-    """
+    motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'."""
 
     runs: Annotated[Positional[tuple[str, ...]], opt.option("RUN|MOTION ...")]
     out: Annotated[Path | None, opt.option("FILE.html")] = None
@@ -200,10 +195,7 @@ class WriteReport:
 @opt.command
 class View:
     """Shows a motion under the controller in the browser: the robot, its demonstration as a ghost, contacts, forces
-    and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side.
-
-    The server answers this machine's browsers only, at the whole address that it prints; Ctrl-C ends it.
-    """
+    and reward, to play and scrub. For the folder of a run: before and after the optimisation, side by side."""
 
     motion: Annotated[Positional[str], opt.option("MOTION|RUN")]
     truth: Annotated[Path | None, opt.option("FILE")] = None

@@ -30,11 +30,7 @@ PAPER_STEPS: Final = 100_000_000
 
 @opt.command
 class Train:
-    """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the RL baseline.
-
-    Writes policy.npz for 'evaluate --policy' and 'compare --policy', policy.onnx, evaluations.csv, TensorBoard logs and
-    a checkpoint. After Ctrl-C or a crash, --resume continues from the last minute. Needs: pip install 'fastmimic[rl]'.
-    """
+    """Trains a policy to imitate a motion (PPO; Peng et al. 2018, 2020): the RL baseline."""
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     steps: int = PAPER_STEPS
