@@ -253,19 +253,16 @@ class View:
         from fastmimic.render.tracks import Animal
 
         overrides = self.reading.overrides()
-        executable = {name: overrides.pop(name) for name in ("executable",) if name in overrides}
+        executable = overrides.pop("executable", None)
         robot = opt.choose_robot(self.robot, source)
         clip = None
         if self.clip is not None:
-            given = find_motion(self.clip)
-            if given.motion is not None:
-                raise ConfigError(f"--clip takes an animal's clip; {self.clip} is already a robot motion")
-            clip = given.open_clip(robot, **(overrides if source.motion is not None else {}))
+            clip = find_motion(self.clip).open_clip(robot, **(overrides if source.motion is not None else {}))
         if source.motion is not None:
-            motion = source.load(robot, **({} if clip is not None else overrides), **executable)
+            motion = source.load(robot, **({} if clip is not None else overrides), executable=executable)
         else:
             original = source.open_clip(robot, **overrides)
-            motion = find_motion(original).load(robot, **executable)
+            motion = find_motion(original).load(robot, executable=executable)
             clip = clip if clip is not None else original
         seconds = self.duration if self.duration is not None else default_duration(motion, EVALUATION_S)
         motions = [(motion, motion.name)]
