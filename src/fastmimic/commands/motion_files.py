@@ -115,8 +115,7 @@ class Data:
 class Inspect:
     """Shows information about a file or a named motion: format, assumptions, frames, rate, period, speed, duty factor,
     swing clearance, joint limits, source and licence, and the parameters of an optimised motion. A clip is retargeted
-    first.
-    """
+    first."""
 
     source: Annotated[Positional[str], opt.option("FILE|NAME")]
     figure: Annotated[Path | None, opt.option("FILE.png")] = None
@@ -249,8 +248,7 @@ def _modulated(dmp: DmpRecord) -> list[str]:
 class SegmentTake:
     """Finds the cycles in a take of any length. Prints first frame and end, gait, period, speed and yaw rate of each
     segment, and its cycle that closes best, for 'imitate --frames A:B'. Standing and non-periodic movement are listed
-    too; 'imitate --frames A:B --discrete' runs such a movement once. Speeds are the animal's.
-    """
+    too; 'imitate --frames A:B --discrete' runs such a movement once. Speeds are the animal's."""
 
     take: Annotated[Positional[str], opt.option("FILE|NAME")]
     json: opt.JsonFlag = False

@@ -37,8 +37,7 @@ MOST: Final = 4
 @opt.command
 class Render:
     """Writes a video of a motion under the controller in simulation, with its demonstration as a ghost. Two motions are
-    shown side by side, three or four in a 2 x 2 grid.
-    """
+    shown side by side, three or four in a 2 x 2 grid."""
 
     motions: Annotated[Positional[tuple[str, ...]], opt.option("MOTION [MOTION ...]")]
     out: Annotated[Path, opt.option("FILE.mp4|.gif|.webm")]
