@@ -138,9 +138,9 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
 
 @opt.command
 class WriteReport:
-    """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress' or
-    'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip, a
-    motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'."""
+    """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress'
+    or 'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip,
+    a motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'."""
 
     runs: Annotated[Positional[tuple[str, ...]], opt.option("RUN|MOTION ...")]
     out: Annotated[Path | None, opt.option("FILE.html")] = None
