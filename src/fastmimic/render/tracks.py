@@ -1,7 +1,7 @@
 """Tracks: poses of robots and animals over time for videos, made from logs, motions and clips; what a panel shows."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import mujoco
 import numpy as np
@@ -10,7 +10,6 @@ from fastmimic.base import rotations
 from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.clips.clip import Clip
-from fastmimic.episode.rollout import Rollout
 from fastmimic.motion.export import at_samples
 from fastmimic.motion.motion import Motion
 from fastmimic.render.video_scene import CameraView, flatten, start_shadow
@@ -20,6 +19,9 @@ from fastmimic.retargeting.track import extract
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.simulation.terrain import Terrain
+
+if TYPE_CHECKING:
+    from fastmimic.episode.rollout import Rollout
 
 _TRAIL_S: Final = 0.45
 _TRAIL_PIECES: Final = 14
@@ -107,7 +109,7 @@ def interpolated(rows: Array, at: Array) -> Array:
     return np.asarray(rows[low] + (at - low)[(..., *[None] * (rows.ndim - 1))] * (rows[high] - rows[low]))
 
 
-def rollout_track(rollout: Rollout, loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
+def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
     """An episode of a logged rollout, falls included, with the demonstration as its ghost. The panel's second line
     tells the reward and the time of a fall after `note`, such as the method; `loaded_n` loads a foot, N."""
     log = rollout.course
@@ -149,7 +151,8 @@ def world_feet(robot: Robot, pose: Array) -> Array:
 
 class Animal:
     """A clip's points on the ground in its own heading frame, scaled as in retargeting: `points` (t, 10, 3) keypoints,
-    m, from the ground under the middle of neck and pelvis. A `motion` of another length is run through to its end."""
+    m, from the ground under the middle of neck and pelvis. `motion`, made of the clip, may have another length; it is
+    then run through to its end."""
 
     def __init__(self, clip: Clip, robot: Robot, motion: Motion) -> None:
         self.scale = choose_scale(clip, robot)
