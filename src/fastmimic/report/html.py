@@ -1,12 +1,12 @@
 """The report of a folder: one self-contained HTML file."""
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json
+from fastmimic.base.machine import optional
 from fastmimic.deploy.log import LOG, RESULT
 from fastmimic.learning.policy import POLICY_FILE
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
@@ -41,8 +41,8 @@ def kind_of(folder: str | Path) -> str:
 
 def require_libraries() -> None:
     """Raises `ConfigError` without Jinja2."""
-    if importlib.util.find_spec("jinja2") is None:
-        raise ConfigError("the report needs Jinja2, which is not installed: pip install 'fastmimic[report]'")
+    said = "the report needs Jinja2, which is not installed: pip install 'fastmimic[report]'"
+    optional("jinja2", ConfigError(said))
 
 
 def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | None" = None) -> "HtmlReport":

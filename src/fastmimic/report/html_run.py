@@ -6,7 +6,6 @@ Episodes are not stored: they follow exactly from `motion.npz` and `config.json`
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,8 +41,7 @@ class RerunEpisodes:
     robot: Robot
     motion: Motion
     config: ControllerConfig
-    before: Rollout  # with the demonstration
-    after: Rollout | None  # with the optimised motion; None without optimisation
+    series: tuple[tuple[Rollout, Log, Key], ...]  # with the demonstration and, after an optimisation, with its result
     differences: tuple[str, ...]  # sentences about rewards that differ from `metrics.json`
 
     @property
@@ -51,12 +49,6 @@ class RerunEpisodes:
         """Whether the motion has no cycle for synchronising the reference with the robot."""
         target = self.motion.target
         return target.cycle is None and len(target.cycle_starts) == 1
-
-    @cached_property
-    def series(self) -> tuple[tuple[Rollout, Log, Key], ...]:
-        if self.after is None:
-            return ((self.before, self.before.course, ONLY),)
-        return ((self.before, self.before.course, BEFORE), (self.after, self.after.course, AFTER))
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -162,18 +154,17 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> R
     robot = load_robot(config.get("arguments", {}).get("robot") or metrics["robot"])
     motion = Motion.load(path / MOTION)
     seconds = float(metrics["duration_s"])
-    before = run_episodes(robot, motion.target, duration_s=seconds, config=controller, log=True)
-    after = None
+    run = [("before", motion.target, ONLY)]
     if metrics["parameters"]:
-        after = run_episodes(robot, motion, duration_s=seconds, config=controller, log=True)
-    differences = []
-    for name, rollout in (("before", before), ("after", after)):
-        if rollout is not None and float(rollout.reward[0]) != metrics["reward"][name]:
-            differences.append(
-                f"{name}: the episode run again has reward {rollout.reward[0]:.6f}, the run recorded"
-                f" {metrics['reward'][name]:.6f}"
-            )
-    return RerunEpisodes(robot, motion, controller, before, after, tuple(differences))
+        run = [("before", motion.target, BEFORE), ("after", motion, AFTER)]
+    series, differences = [], []
+    for name, reference, key in run:
+        rollout = run_episodes(robot, reference, duration_s=seconds, config=controller, log=True)
+        series.append((rollout, rollout.course, key))
+        if float(rollout.reward[0]) != (recorded := metrics["reward"][name]):
+            again = f"the episode run again has reward {rollout.reward[0]:.6f}"
+            differences.append(f"{name}: {again}, the run recorded {recorded:.6f}")
+    return RerunEpisodes(robot, motion, controller, tuple(series), tuple(differences))
 
 
 def _search(path: Path, parameters: int) -> Checkpoint:
@@ -293,25 +284,12 @@ def parameters(found: Sequence[dict[str, Any]]) -> Figure:
         ends: list[float | None] = []
         for p, s in zip(own, shift, strict=True):
             ends += [*numbers([scale * (p["lower"] - s), scale * (p["upper"] - s)]), None]
-        rows = [name for name in names for _ in range(3)]
-        data = [
-            {
-                **draw.line(ends, rows, Key("bounds", "var(--muted)")),
-                "mode": "lines+markers",
-                "marker": {"symbol": "line-ns-open", "size": 11, "color": "var(--muted)"},
-                "line": {"color": "var(--grid)", "width": 6},
-            },
-            *(
-                draw.points(
-                    numbers([scale * (p[value] - s) for p, s in zip(own, shift, strict=True)]),
-                    names,
-                    key,
-                    f"%{{y}}: %{{x:.4g}} {unit}".rstrip(),
-                    size=size,
-                )
-                for value, key, size in (("initial", _FITTED, 15), ("value", _FOUND, 10))
-            ),
-        ]
+        bounds = draw.line(ends, [name for name in names for _ in range(3)], Key("bounds", "var(--muted)"))
+        ticks = {"symbol": "line-ns-open", "size": 11, "color": "var(--muted)"}
+        data = [bounds | {"mode": "lines+markers", "marker": ticks, "line": {"color": "var(--grid)", "width": 6}}]
+        for value, key, size in (("initial", _FITTED, 15), ("value", _FOUND, 10)):
+            x = numbers([scale * (p[value] - s) for p, s in zip(own, shift, strict=True)])
+            data.append(draw.points(x, names, key, f"%{{y}}: %{{x:.4g}} {unit}".rstrip(), size=size))
         layout = draw.layout_of(axis, "", height=70 + 26 * len(own), hovermode="closest")
         layout["yaxis"] |= {**draw.rows_axis(names), "showgrid": False}
         plots.append(Plot(title, data, layout))

@@ -30,7 +30,7 @@ def recorded(e: "RerunEpisodes") -> str:
     """One self-contained page, viser's client and a recording of its scene, with the robot before and after side by
     side. They repeat their episodes, up to `LONGEST_S`; the shorter one stays at its end. While recording, a server
     runs on loopback. Raises `ConfigError` as `WebPage`."""
-    labels = ["" if e.after is None else key.label for *_, key in e.series]
+    labels = ["" if len(e.series) == 1 else key.label for *_, key in e.series]
     takes = [
         rollout_take(rollout, motion, e.robot, e.config, label)
         for (rollout, *_), motion, label in zip(e.series, (e.motion.target, e.motion), labels, strict=False)
