@@ -66,17 +66,14 @@ class StitchedProblem(Problem):
             ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], group=group, config=config, workers=1)
             for s in self.layout.segments
         ]
-        parameters = [
-            replace(p, name=f"{i}:{s.name}/{p.name}")
-            for i, (s, problem) in enumerate(zip(self.layout.segments, self.segments, strict=True), start=1)
-            for p in problem.parameters
-        ]
+        labels = [f"{i}:{s.name}/" for i, s in enumerate(self.layout.segments, start=1)]
+        labelled = zip(labels, self.segments, strict=True)
+        parameters = [replace(p, name=label + p.name) for label, problem in labelled for p in problem.parameters]
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         if start is not None and not isinstance(start, Mapping):
             if len(start) != len(self.segments):
                 raise ConfigError(f"the start is of {len(start)} segments; the motion has {len(self.segments)}")
-            named = zip(self.layout.segments, start, strict=True)
-            start = {f"{i}:{s.name}/{p}": v for i, (s, own) in enumerate(named, start=1) for p, v in own.items()}
+            start = {label + name: v for label, own in zip(labels, start, strict=True) for name, v in own.items()}
         given = start or {}
         unknown = sorted(given.keys() - {p.name for p in parameters})
         if unknown:

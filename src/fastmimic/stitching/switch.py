@@ -99,22 +99,14 @@ class Switch:
 def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:
     """The best switch from `a`, near its unwrapped sample `out`, to the beginning of `b`."""
     step = max(1, round(_STEP_S * rate_hz))
-
-    def about(cycle: Cycle, middle: int | None) -> range:
-        most = min(cycle.n // 2, round(SEARCH_S * rate_hz))
-        if middle is None:
-            return range(-most + 1, most + 1, step)
-        finer = max(1, step // _FINER)
-        return range(max(middle - step, -most + 1), min(middle + step, most) + 1, finer)
-
-    found: tuple[int, Switch] | None = None
-    for _ in range(2):  # a coarse grid, then a fine one about its best point
-        offset, into = (None, None) if found is None else (found[0], found[1].into)
-        here = _best_of(a, b, out, about(a, offset), about(b, into), rate_hz, reach, linger_s)
-        if found is None or here.cost < found[1].cost:
-            found = here.out - out, here
-    assert found is not None
-    return found[1]
+    finer = max(1, step // _FINER)
+    farthest = [min(cycle.n // 2, round(SEARCH_S * rate_hz)) for cycle in (a, b)]
+    offsets, intos = (range(-most + 1, most + 1, step) for most in farthest)
+    coarse = _best_of(a, b, out, offsets, intos, rate_hz, reach, linger_s)
+    best = zip((coarse.out - out, coarse.into), farthest, strict=True)
+    offsets, intos = (range(max(at - step, -most + 1), min(at + step, most) + 1, finer) for at, most in best)
+    fine = _best_of(a, b, out, offsets, intos, rate_hz, reach, linger_s)
+    return min(coarse, fine, key=lambda switch: switch.cost)
 
 
 def _best_of(
