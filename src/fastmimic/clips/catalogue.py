@@ -12,7 +12,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, RECORDED, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
-from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, built_in, generate, jump
+from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, generate, jump
 from fastmimic.robot.robot import Robot
 
 BUILT_IN_LICENCE: Final = "that of fastmimic"
@@ -44,7 +44,7 @@ def parse_frames(text: str, where: str) -> tuple[int, int]:
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
     built = [(name, spec.about, _speed(spec)) for name, spec in GAITS.items()]
-    built += [(name, spec.about, "–") for name, spec in JUMPS.items()]
+    built += [(name, about, "–") for name, about in JUMPS.items()]
     rows = [MotionRow(*row, "built in", BUILT_IN_LICENCE, True) for row in built]
     for name, motion in RECORDED.items():
         fetched = find_file(motion.dataset, motion.file, folder) is not None
@@ -92,7 +92,7 @@ def open_clip(
     if name in GAITS or name in JUMPS:
         read = {"frame rate": fps, "vertical axis": up, "travel": travel}
         _refuse(name, "it is generated, not read from a file", read)
-        clip = generate(name, **gait_options) if name in GAITS else jump(JUMPS[name], built_in(name))
+        clip = generate(name, **gait_options) if name in GAITS else jump(name)
         clip = _cut(name, clip if scale is None else with_scale(clip, scale), frames)
     else:
         clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
