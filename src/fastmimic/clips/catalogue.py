@@ -77,8 +77,7 @@ def open_clip(
         frames: (first, end) 0-based, end exclusive; relative to the named clip.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
-        cycle: whether the clip is one period of a motion that repeats, whatever its source says; None for what it
-            says, or shows.
+        cycle: whether the clip is one period of a motion that repeats; None for what its source says, or shows.
 
     The clip has `name`, `source`, `licence` and `credit` in its `meta`. Raises `ClipError` for an unknown name (lists
     the closest), data not fetched, an unreadable file, or an option that does not apply.
@@ -110,8 +109,7 @@ def open_parts(name_or_path: str | Path, **options: Any) -> list[tuple[int, Clip
 
 
 def check_name(name: str) -> None:
-    """Checks, without reading it, that a motion of that name exists and its recording has been fetched. Raises
-    `ClipError`: unknown name (lists the closest), or data not fetched."""
+    """Raises `ClipError` for an unknown name (lists the closest), or data not fetched; reads nothing."""
     if name not in motion_names():
         raise _unknown(name)
     if name in RECORDED:

@@ -102,11 +102,9 @@ _SQUARE: Final = 0.125  # cycles: half way between pace, walk and trot
 
 
 def footfall_of(phases: Array) -> str:
-    """The gait of legs with phases (4,), cycles, in the common order; one of `FOOTFALLS` (Hildebrand 1965).
-
-    In a symmetrical gait left and right are half a cycle apart. The fore foot's lag behind the hind foot of its side,
-    in cycles, then distinguishes pace (0), walk (1/4) and trot (1/2).
-    """
+    """The gait of legs with phases (4,), cycles, in the common order; one of `FOOTFALLS` (Hildebrand 1965). In a
+    symmetrical gait left and right are half a cycle apart; the fore foot's lag behind the hind foot of its side, in
+    cycles, then distinguishes pace (0), walk (1/4) and trot (1/2)."""
 
     def apart(a: int, b: int) -> float:
         return float(abs((phases[a] - phases[b] + 0.5) % 1.0 - 0.5))
@@ -142,8 +140,7 @@ class Segment:
         gait: one of `GAITS`.
         footfall: one of `FOOTFALLS`, of a turn as well; None where nothing repeats.
         period_frames, cycle: period, and the cycle (first, end) that repeats best; None where nothing repeats.
-        confidence: from 0, where d' is no better than chance, to 1, an exact repetition; for standing and discrete
-            parts, how clearly nothing repeats.
+        confidence: from 0, d' no better than chance, to 1, an exact repetition; of others, how clearly nothing repeats.
         speed_m_per_s: mean over the ground, of the trunk, in the animal's size.
         yaw_rate_rad_per_s: mean of its heading, positive to the left.
     """

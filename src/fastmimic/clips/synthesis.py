@@ -2,8 +2,7 @@
 
 They replace recordings that cannot be shipped. The trunk bobs, sways, rolls and pitches with its steps. The paws roll
 over the toes before lift-off, swing in an asymmetric arc, front higher than hind, and reach back a little before
-touch-down. All paths are twice continuously differentiable in time. In a jump, the animal crouches, leaves the ground,
-lands and stands.
+touch-down. All paths are twice continuously differentiable in time. A jump goes from standing to standing.
 """
 
 from dataclasses import dataclass, replace

@@ -22,8 +22,7 @@ from fastmimic.robot import Robot, load_robot
 CONFIDENCE: Final = 0.5
 INDEX_EVERY: Final = 200
 INDEX_SHARE: Final = 0.1
-"""A running build writes the index after `INDEX_EVERY` new records, if these are so large a share of all; writing the
-index reads every record."""
+"""A running build writes the index, which reads every record, after so many new ones, if they are so large a share."""
 
 
 @dataclass(frozen=True, eq=False)

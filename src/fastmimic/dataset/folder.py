@@ -219,11 +219,9 @@ class MotionDataset:
         return gather(self.path, plan if plan is not None else self.plan())
 
     def write_index(self, *, settled: bool = True) -> Gathered:
-        """Writes and returns the index of the existing records.
-
-        With `settled`, repeats this until no other builder has finished a record meanwhile; for use at the end of a
-        build. Raises `LibraryError` if Arrow is not installed, `OutputError` if the index cannot be written.
-        """
+        """Writes and returns the index of the existing records; with `settled`, at the end of a build, again until no
+        other builder has finished a record meanwhile. Raises `LibraryError` if Arrow is not installed, `OutputError` if
+        the index cannot be written."""
         parquet = require_pyarrow()
         while True:
             there = self._state()
@@ -329,12 +327,10 @@ def export_library(
     fps: float = DEFAULT_FPS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file.
-
-    The rows of the index have the columns `NEEDED`, and each a motion; `form` is one of `EXPORTS`. Calls `progress`
-    with (files done, files in all). Raises `FastMimicError` for a folder within the library, an unknown format, a
-    damaged motion, or a file that cannot be written.
-    """
+    """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file. The rows of the
+    index have the columns `NEEDED`, and each a motion; `form` is one of `EXPORTS`. Calls `progress` with (files done,
+    files in all). Raises `FastMimicError` for a folder within the library, an unknown format, a damaged motion, or a
+    file that cannot be written."""
     if Path(folder).resolve().is_relative_to(library.path.resolve()):
         said = "is in the library, whose own motions would be overwritten"
         raise LibraryError(f"{folder}: {said}; choose another folder")

@@ -98,11 +98,8 @@ def damage(folder: Path, record: Mapping[str, Any]) -> str | None:
 
 
 class FinishedJobs:
-    """A cache of intact records and motions, so that a build need not read all of them at its start.
-
-    It compares sizes and times of files, and reads a file only if they differ. `fastmimic.dataset.repair.check` finds
-    other damage.
-    """
+    """A cache of intact records and motions, so that a build need not read all of them at its start: it compares files'
+    sizes and times, and reads those that differ. `fastmimic.dataset.repair.check` finds other damage."""
 
     def __init__(self, folder: Path) -> None:
         """Loads the saved state; empty if that is missing or damaged."""

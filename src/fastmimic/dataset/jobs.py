@@ -116,11 +116,9 @@ def now() -> str:
 
 
 def perform(job: Job, report: Report) -> Record:
-    """Runs a job unless its record exists; returns the record.
-
-    Errors of the excerpt, and defects that it reveals, go into the record, so that the other motions are still made.
-    Raises `OutputError` if the library's folder is not visible here, or cannot be written to, such as a full disk.
-    """
+    """Runs a job unless its record exists; returns the record. Errors of the excerpt, and defects that it reveals, go
+    into the record, so that the other motions are still made. Raises `OutputError` if the library's folder is not
+    visible here, or cannot be written to, such as a full disk."""
     if not (job.folder / SETTINGS).is_file():
         said = f"no library there as seen from {socket.gethostname()}"
         raise OutputError(f"{job.folder}: {said}; all machines must see it under the same path")
@@ -224,10 +222,8 @@ def _tried(job: Job, result: Imitation) -> Record:
 @dataclass(frozen=True, eq=False)
 class Neighbours:
     """Where searches begin: a library's excerpts by digest, and for each robot (name or file) the best row of each.
-
     Similar excerpts have about the same period, speed and turning, and the same footfall, on the same robot. The search
-    takes over the motion's modulation (`fastmimic.optimize.parameters.moved_by`), not its style.
-    """
+    takes over the motion's modulation (`fastmimic.optimize.parameters.moved_by`), not its style."""
 
     library: Path
     pieces: Mapping[str, Excerpt]
@@ -247,8 +243,7 @@ class Neighbours:
         return cls(library.path.resolve(), pieces, best)
 
     def nearest(self, piece: Excerpt, robot: str) -> WarmStart | None:
-        """The start of a search for an excerpt on a robot (name or MJCF), of equally near ones that with the first id;
-        None if no excerpt on that robot is near."""
+        """The nearest start for an excerpt on a robot (name or MJCF), of equals the first by id; None if far."""
         if not piece.repeats or robot not in self._places:
             return None
         rows, places, footfalls = self._places[robot]

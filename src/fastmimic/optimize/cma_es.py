@@ -302,8 +302,7 @@ class _Search:
 
 
 def _pycma() -> Any:
-    """pycma without the statistics and plots that it takes along where it finds them: the search needs neither, and
-    they are half a second of every process's start."""
+    """pycma without the statistics and plots that it loads where it can: half a second of every process's start."""
     spared = [name for name in ("scipy.stats", "matplotlib") if name not in sys.modules]
     sys.modules.update(dict.fromkeys(spared))  # type: ignore[arg-type]
     try:

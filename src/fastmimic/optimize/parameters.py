@@ -55,8 +55,7 @@ PARAMETER_GROUPS: Final = {
     FOOT_PATH: _PATHS,  # 24: g and a of all dimensions of the feet
     FEET_AND_TRUNK: (*_PATHS, *_TRUNK),  # 26: and g of the trunk's height and pitch
 }
-"""Parameters by group, goals relative to a motion's fitted ones; each group holds all of those before it. Add an entry
-to open others."""
+"""Parameters by group, goals relative to fitted ones; each group holds all of those before it. Add one to open more."""
 
 
 def parameters_of_group(group: str, dmp: "MotionDmp") -> tuple[Parameter, ...]:

@@ -86,14 +86,13 @@ class Cycle:
 @dataclass(frozen=True)
 class Switch:
     """A switch between two cyclic motions, where sample `out` of the first, not wrapped, meets `into` of the second.
-    `feet` are the merged stances or swings relative to that moment; `half` is half the samples of the trunk's blend;
-    `cost` is small where the motions agree well."""
+    `feet` are the merged stances or swings relative to it; `half` is half the samples of the trunk's blend."""
 
     out: int
     into: int
     feet: tuple[Span, Span, Span, Span]
     half: int
-    cost: float
+    cost: float  # small where the motions agree well
 
 
 def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:

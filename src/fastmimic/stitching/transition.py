@@ -130,8 +130,7 @@ def _plan(
     layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cycle, Cycle], kept: int
 ) -> tuple[Span, list[Span], Stances, list[list[int | None]]]:
     """A window of samples, with `kept` of the motions before and after what is rebuilt; the rebuilt samples of each
-    leg; the stances, relative to the window; and for each a sample at which the foot is at its foothold, or None if
-    that is new."""
+    leg; the stances, relative to the window; and for each a sample at which the foot is there, None if it is new."""
     before, segment = layout.segments[index - 1], layout.segments[index]
     trunk, feet = segment.trunk, segment.feet
     assert trunk is not None

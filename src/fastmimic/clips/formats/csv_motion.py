@@ -3,8 +3,7 @@ a header, columns are found by name in any order. Without one they are taken as 
 in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
 
 The same as arrays is what trajectory optimisation with Pinocchio leaves (yusongmin1/go2_flip_TO): `q` (t, 19) with the
-legs in the order FL, FR, RL, RR, `v` (t, 18), which nothing needs, and the steps `dt` (t,), s. The joints' names are an
-object, which is not read."""
+legs in the order FL, FR, RL, RR, and the steps `dt` (t,), s. Its `v` (t, 18) and the joints' names are not read."""
 
 import io
 import re

@@ -40,8 +40,7 @@ _LEAST_TILT_RAD: Final = np.radians(3.0)
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
-    """Reads a point map, which may leave out all four hips. Raises `ClipError`: not a JSON object that gives each of
-    the ten points a name."""
+    """Reads a point map, which may lack all four hips; raises `ClipError` unless a JSON object names each point."""
     found = read_json(path, ClipError)
     if not all(isinstance(name, str) for name in found.values()):
         raise ClipError(f"{path}: a point map is a JSON object of names, such as {_EXAMPLE}")
@@ -57,9 +56,8 @@ def read_point_map(path: str | Path) -> dict[str, str]:
 
 
 def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | None], list[str]]:
-    """Indices (10,) of the ten points among a file's `names`, None for hips that it does not have, and a sentence on
-    what was assumed: a known set of names, or a guess from the words in them. Raises `ClipError`: no map fits; the
-    message has one to be completed."""
+    """Indices (10,) of the ten points among a file's `names`, None for hips that it lacks, and a sentence on what was
+    assumed: a known set of names, or a guess from their words. Raises `ClipError` with a map to complete: none fits."""
     maps = BUILT_IN if given is None else {"": given}
     for title, points in maps.items():
         if all(source in names for source in points.values()):
@@ -83,14 +81,13 @@ def _indices(names: Sequence[str], points: PointMap) -> list[int | None]:
 
 @dataclass(frozen=True)
 class FileAxes:
-    """`up` is the file's vertical axis, with its sign; `unit` is `factor` metres; `tilt` (3, 3) is what levels the
-    ground; `notes` are for the user."""
+    """`up` is the file's vertical axis, with its sign; `unit` is `factor` metres; `tilt` (3, 3) levels the ground."""
 
     up: str
     unit: str
     factor: float
     tilt: Array | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # for the user
 
     def to_world(self, points: Array) -> Array:
         """Points (..., 3) in the world, m."""
@@ -172,8 +169,7 @@ def check_right_handed(points: Array) -> None:
 
 
 def _widths(points: Array) -> Array:
-    """How far the left point of each pair lies to the left of the right one on average, (4,) m: the order of
-    `POINT_NAMES`, z up."""
+    """How far left each pair's left point lies of its right one on average, (4,) m: `POINT_NAMES`' order, z up."""
     left = np.cross([0.0, 0.0, 1.0], points[:, 1] - points[:, 0])
     left /= np.linalg.norm(left, axis=1, keepdims=True)
     return np.asarray(np.einsum("ta,tpa->p", left, points[:, 3::2] - points[:, 2::2]) / len(points))
@@ -195,13 +191,10 @@ def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
 
 
 def with_hips(points: Array) -> tuple[Array, float, str]:
-    """Fills in shoulders and hips of `points` (t, 10, 3), in the order of `POINT_NAMES`, z up, m, of an animal of which
-    only the spine and the feet were recorded. Returns the points, the length of the legs, m, and a sentence that says
-    what was assumed.
-
-    They lie below the spine's points and above the middle of the feet's places, so that the legs swing evenly to both
-    sides. How far below, and how long the legs are, follows from the proportions of the dog of the public recordings.
-    """
+    """Fills in shoulders and hips of `points` (t, 10, 3) of `POINT_NAMES`, z up, m, of an animal whose spine and
+    feet alone were recorded; returns the points, the length of the legs, m, and a sentence on what was assumed. They
+    lie below the spine's points and above the middle of the feet's places, so that the legs swing evenly to both sides.
+    How far below, and how long the legs are, follows from the proportions of the dog of the public recordings."""
     points = np.array(points)
     ahead = points[:, 1] - points[:, 0]
     heading = np.arctan2(ahead[:, 1], ahead[:, 0])[:, None]
@@ -240,9 +233,8 @@ def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) 
 
 
 def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foot_pos_b: Array) -> Array:
-    """Keypoints (t, 10, 3) in the order of `POINT_NAMES`, world frame, m, for a base pose in the world, abduction joint
-    origins (4, 3) and foot centres (t, 4, 3), body frame, m. Hips are the abduction joint origins; pelvis and neck are
-    the midpoints of the rear and the front ones."""
+    """Keypoints (t, 10, 3) of `POINT_NAMES`, world frame, m, for a base pose in the world, abduction joint origins
+    (4, 3) as hips and foot centres (t, 4, 3), body frame, m. Pelvis and neck are midpoints of rear and front hips."""
     hips = np.broadcast_to(hip_pos_b, foot_pos_b.shape)
     pelvis, neck = hips[:, 2:].mean(axis=1, keepdims=True), hips[:, :2].mean(axis=1, keepdims=True)
     points_b = np.concatenate([pelvis, neck, hips, foot_pos_b], axis=1)

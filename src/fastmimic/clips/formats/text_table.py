@@ -19,9 +19,8 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The rows of a text, and the names of its columns if it has a header. Blank lines and lines that start with `#`
-    are left out. The header is a first line without numbers, or the last comment before the first row if it has as many
-    fields (as in `numpy.savetxt`)."""
+    """The rows of a text without blank lines and comments (`#`), and the names of its columns if it has a header: a
+    first line without numbers, or the last comment before the first row with as many fields (as in `numpy.savetxt`)."""
 
     header: list[str] | None
     header_is_comment: bool
