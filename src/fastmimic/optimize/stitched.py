@@ -11,9 +11,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import (
     quat_conjugate,
@@ -117,7 +116,7 @@ class StitchedProblem(Problem):
             demonstration=demo,
         )
 
-    def tables(self, x: Array) -> NDArray[Any]:
+    def tables(self, x: Array) -> Records:
         tables = np.repeat(self._table[None], len(x), axis=0)
         feet = np.array(tables["foot_pos"])
         heading = yaw_from_quat(self._table["root_quat"])

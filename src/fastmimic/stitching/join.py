@@ -12,9 +12,8 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, rotate_planar, trunk_quaternion, turned_about_z, yaw_from_quat
 from fastmimic.motion.motion import Motion
@@ -168,7 +167,7 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict
     return out
 
 
-def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, NDArray[np.bool_]]:
+def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, Flags]:
     """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4); the
     planar path integrates the blended velocity in the heading frame."""
     n, t = layout.n, np.arange(layout.n)

@@ -11,9 +11,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stance, stances_of
 from fastmimic.motion.motion import Motion
@@ -48,7 +47,7 @@ class Cycle:
 
     n: int
     stances: tuple[tuple[Stance, ...], ...]
-    contact: NDArray[np.bool_]
+    contact: Flags
     velocity: Array
     stride: int
 
@@ -223,7 +222,7 @@ def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> t
     return best
 
 
-def _supports(contact: NDArray[np.bool_]) -> set[int]:
+def _supports(contact: Flags) -> set[int]:
     """The sets of standing feet in more than 2 % of a motion, as bits."""
     code, count = np.unique(contact @ (1 << np.arange(4)), return_counts=True)
     return {int(c) for c, k in zip(code, count, strict=True) if k >= 0.02 * len(contact)}

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import MotionError
 from fastmimic.motion.contacts import Stance, Stances, stances_of
@@ -76,7 +75,7 @@ def make_transition(
     index: int,
     track: TrunkTrack,
     raw_w: Array,
-    contact: NDArray[np.bool_],
+    contact: Flags,
     own: tuple[Cycle, Cycle],
     rate_hz: float,
     config: RetargetConfig,
@@ -127,7 +126,7 @@ def make_transition(
 
 
 def _plan(
-    layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cycle, Cycle], kept: int
+    layout: Layout, index: int, contact: Flags, own: tuple[Cycle, Cycle], kept: int
 ) -> tuple[Span, list[Span], Stances, list[list[int | None]]]:
     """A window of samples, with `kept` of the motions before and after what is rebuilt; the rebuilt samples of each
     leg; the stances, relative to the window; and for each a sample at which the foot is there, None if it is new."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
@@ -221,7 +220,7 @@ def _listed(names: Sequence[str]) -> str:
     return shown + (f" and {len(names) - 40} more" if len(names) > 40 else "")
 
 
-def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) -> NDArray[np.float64]:
+def unit_wxyz_from_xyzw(xyzw: Array, where: Callable[[int], str]) -> Array:
     """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips, from `xyzw` (t, 4). `where` gives a frame's
     position in the file, for messages. Raises `ClipError` for a norm that is not 1."""
     norm = np.linalg.norm(xyzw, axis=1)

@@ -5,8 +5,8 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
 from fastmimic.base.errors import ClipError, check_positive
 
@@ -73,7 +73,7 @@ def to_array(
     gaps: Collection[int] = (),
     unread: list[str] | None = None,
     unused: Collection[int] = (),
-) -> NDArray[np.float64]:
+) -> Array:
     """The values of all rows, (rows, columns). `names` are the columns' and `what` is the format, for messages;
     `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be NaN or empty;
     what is in the columns `unused` is not looked at, and NaN. Raises `ClipError`, with line and column: wrong number of
@@ -109,14 +109,8 @@ def to_array(
 
 
 def _numbers(
-    row: Row,
-    names: Sequence[str],
-    what: str,
-    is_last: bool,
-    largest: NDArray[np.float64],
-    may_lack: NDArray[np.bool_],
-    unused: Collection[int],
-) -> NDArray[np.float64]:
+    row: Row, names: Sequence[str], what: str, is_last: bool, largest: Array, may_lack: Flags, unused: Collection[int]
+) -> Array:
     number, fields = row
     if len(fields) != len(names):
         last = "; the last line: the file may be truncated" if is_last else ""
