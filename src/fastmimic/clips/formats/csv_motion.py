@@ -56,9 +56,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     return _clip_of(motion, rate, robot, assumed, lambda i: f"line {table.rows[i].number} (frame {i})")
 
 
-def _clip_of(
-    motion: Array, rate_hz: float, robot: Robot | None, assumed: list[str], where: Callable[[int], str]
-) -> Clip:
+def _clip_of(motion: Array, rate_hz: float, robot: Robot | None, notes: list[str], where: Callable[[int], str]) -> Clip:
     """The clip of a robot's motion (t, 19); `where` gives a frame's place in the file."""
     from fastmimic.robot.kinematics import foot_positions
 
@@ -72,7 +70,7 @@ def _clip_of(
         root_quat_wxyz=quat,
         leg_length_m=robot.leg_length,
         scale=1.0,
-        meta={"assumed": [*assumed, f"joint angles are those of the {robot.name}"], "robot": robot.name},
+        meta={"assumed": [*notes, f"joint angles are those of the {robot.name}"], "robot": robot.name},
     )
 
 
@@ -137,13 +135,8 @@ def _plain(name: str) -> str:
 
 
 def _root_names(name: str) -> set[str]:
-    axis = name[-1]
-    quantity = (
-        [f"q{axis}", f"q_{axis}", f"quat_{axis}", f"quaternion_{axis}", f"rot_{axis}", f"orientation_{axis}"]
-        if name.startswith("root_q")
-        else [axis, f"p{axis}", f"t{axis}", f"p_{axis}", f"pos_{axis}", f"position_{axis}"]
-    )
-    return {prefix + item for prefix in ("", "root_", "base_", "trunk_", "body_") for item in quantity}
+    quantities = _SPELLINGS["rotation" if name.startswith("root_q") else "position"]
+    return {f"{base}{quantity}{name[-1]}" for base in _SPELLINGS["bases"] for quantity in quantities}
 
 
 def _joint_names(plain: list[str]) -> list[set[str]]:
