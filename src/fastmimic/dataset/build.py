@@ -160,11 +160,11 @@ class _Builder:
             done = self._make(jobs, seen)
         except BaseException:
             library.write_index(settled=False)
-            seen.save()
             raise
+        finally:
+            seen.save()
         ids = frozenset(job.id for job in jobs)
         table = self._settle(ids).table
-        seen.save()
         names = {robot.name for robot in robots.values()}
         others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
         left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
@@ -262,11 +262,9 @@ def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
     try:
         there = library.recipe_digest()
         was = library.settings()
-    except DamagedError:
-        if not (update or library.holds(recipe.digest)):
-            raise
-    except LibraryError:
-        if not update:
+    except LibraryError as error:
+        is_mended = isinstance(error, DamagedError) and library.holds(recipe.digest)
+        if not (update or is_mended):
             raise
     if there is not None and there != recipe.digest and not update:
         other = [name for name, value in recipe.as_dict().items() if was.get(name) != value]

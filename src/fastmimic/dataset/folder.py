@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
@@ -40,9 +40,6 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.robot import load_robot
 from fastmimic.runs.work_folder import lock
 from fastmimic.simulation.conditions import other_ranges
-
-if TYPE_CHECKING:
-    import pyarrow
 
 SETTINGS: Final = "library.json"
 INDEX: Final = "index.parquet"
@@ -234,7 +231,7 @@ class MotionDataset:
         """Rows of the index, with all columns by default; raises `LibraryError` if it is missing or damaged."""
         return list(self.index_table(columns).to_pylist())
 
-    def index_table(self, columns: Sequence[str] = ()) -> "pyarrow.Table":
+    def index_table(self, columns: Sequence[str] = ()) -> Any:
         """The index as an Arrow table; raises as `index`."""
         parquet = require_pyarrow()
         path = self.path / INDEX

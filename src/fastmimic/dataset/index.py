@@ -48,10 +48,6 @@ _KINDS: Final[dict[type, Any]] = {str: str, int: int, float: (int, float), bool:
 _NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "status")
 
 
-def empty() -> Record:
-    return dict.fromkeys(COLUMNS)
-
-
 def sha256(path: Path) -> str:
     """Digest of a file's content; raises `OSError`."""
     with path.open("rb") as file:
@@ -81,7 +77,7 @@ def read_record(path: Path) -> Record | None:
         return None
     if not isinstance(found, dict) or not found.keys() <= COLUMNS.keys() or found.get("id") != path.stem:
         return None
-    found = empty() | found
+    found = dict.fromkeys(COLUMNS) | found
     whole = all(value is None or isinstance(value, _KINDS[COLUMNS[name]]) for name, value in found.items())
     return found if whole and all(found[name] is not None for name in _NEEDED) else None
 

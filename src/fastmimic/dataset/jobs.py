@@ -24,7 +24,7 @@ from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.dataset.excerpts import Excerpt, reason_of
 from fastmimic.dataset.folder import SETTINGS, BuildSettings, MotionDataset, Row
-from fastmimic.dataset.index import DONE, FAILED, MOTIONS, Record, empty, load_record, robot_of, save_record, sha256
+from fastmimic.dataset.index import COLUMNS, DONE, FAILED, MOTIONS, Record, load_record, robot_of, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics
@@ -94,7 +94,7 @@ class Job:
     def record(self) -> Record:
         """The part of its record that is known in advance."""
         return {
-            **empty(),
+            **dict.fromkeys(COLUMNS),
             **self.piece.described,
             "id": self.id,
             "robot": Path(self.robot).stem,
@@ -187,7 +187,7 @@ def _made(job: Job, report: Report) -> Record:
 def _tried(job: Job, result: Imitation) -> Record:
     recipe, robot, demonstration = job.recipe, result.robot, result.demonstration
     measured = measure(result, recipe.evaluation_s, recipe.perturbed)
-    figures = {name: value for name, value in measured.figures.items() if name in empty()}
+    figures = {name: value for name, value in measured.figures.items() if name in COLUMNS}
     needs = demands(robot, demonstration)
     exceeded = reasons(needs, describe_fall(robot, measured.after))
     simulated_s = result.simulated_s + measured.simulated_s
