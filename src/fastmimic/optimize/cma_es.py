@@ -60,11 +60,9 @@ class Checkpoint:
         if version != _VERSION:
             raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")
         if identity not in (None, found.identity):
-            raise CheckpointError(
-                f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration,"
-                " seed or population differ); resume with the same arguments or choose another output"
-                " folder"
-            )
+            said = "of another problem (motion, robot, configuration, duration, seed or population differ)"
+            again = "resume with the same arguments or choose another output folder"
+            raise CheckpointError(f"{path}: this checkpoint is {said}; {again}")
         if found.candidates.ndim != 3 or found.scores.shape != found.candidates.shape[:2]:
             raise CheckpointError(f"{path}: damaged checkpoint (shapes {found.candidates.shape}, {found.scores.shape})")
         return found

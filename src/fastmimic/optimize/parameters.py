@@ -92,9 +92,8 @@ def moved_by(motion: Motion) -> dict[str, float]:
     """An optimised cycle's modulation: baselines relative to the fitted ones, and amplitudes; raises `MotionError`."""
     dmp = motion.provenance.dmp
     if motion.demonstration is None or dmp is None:
-        raise MotionError(
-            f"motion '{motion.name}' was not optimised as one cycle: there is nothing in it to begin from"
-        )
+        said = f"motion '{motion.name}' was not optimised as one cycle"
+        raise MotionError(f"{said}: there is nothing in it to begin from")
     found: dict[str, float] = {}
     for name, goal, fitted, amplitude in dmp.modulation():
         found[f"{name}.{_GOAL}"] = goal - fitted

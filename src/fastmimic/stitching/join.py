@@ -103,9 +103,8 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
         if count < 1:
             raise ConfigError(f"every motion needs at least one cycle, found {count} for '{motion.name}'")
     if sum(c * m.n_samples for c, m in zip(counts, motions, strict=True)) > MAX_S * motions[0].rate_hz:
-        raise ConfigError(
-            f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {', '.join(map(str, counts))}"
-        )
+        listed = ", ".join(map(str, counts))
+        raise ConfigError(f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {listed}")
     return counts
 
 

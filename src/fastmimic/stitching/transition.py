@@ -59,9 +59,8 @@ class Layout:
 
 
 def too_short(segment: StitchedSegment) -> MotionError:
-    return MotionError(
-        f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions; give it more cycles"
-    )
+    said = f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions"
+    return MotionError(f"{said}; give it more cycles")
 
 
 def _shares(steps: Array) -> Array:
@@ -138,9 +137,8 @@ def _plan(
     for leg in range(4):
         lifts = bool(own[0].stances[leg]), bool(own[1].stances[leg])
         if not any(lifts):
-            raise MotionError(
-                f"'{before.name}' and '{segment.name}' cannot be joined: the {LEGS[leg]} foot never lifts off in either"
-            )
+            said = f"'{before.name}' and '{segment.name}' cannot be joined"
+            raise MotionError(f"{said}: the {LEGS[leg]} foot never lifts off in either")
         stances = stances_of(contact[:, leg], periodic=False)
         fixed: list[int | None] = []
         for s in stances:
@@ -170,9 +168,8 @@ def _plan(
         spans.append(stances)
         free.append(fixed)
         rebuilt.append(Span(begin, end))
-    window = Span(
-        min(trunk.start, *(s.start for s in rebuilt)) - kept, max(trunk.end, *(s.end for s in rebuilt)) + kept
-    )
+    first, last = min(trunk.start, *(s.start for s in rebuilt)), max(trunk.end, *(s.end for s in rebuilt))
+    window = Span(first - kept, last + kept)
     inside: Stances = []
     seen_at: list[list[int | None]] = []
     for stances, fixed in zip(spans, free, strict=True):
