@@ -10,6 +10,7 @@ from random import Random
 from typing import Any, Final
 
 from fastmimic.base.arrays import fingerprint
+from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.base.files import remove_file, write_text
 from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
@@ -41,8 +42,8 @@ class BuildRequest:
     sources: Sequence[DatasetSource]
     recipe: BuildSettings
     robots: Sequence[str]
-    seeds: int = 1
-    confidence: float = CONFIDENCE
+    seeds: int = parameter(1, low=1)
+    confidence: float = parameter(CONFIDENCE, high=1.0)
     cut: Cut = "cycles"
     warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
@@ -50,10 +51,7 @@ class BuildRequest:
     def __post_init__(self) -> None:
         if not self.robots:
             raise ConfigError("a library needs at least one robot")
-        if self.seeds < 1:
-            raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
-        if not 0.0 <= self.confidence <= 1.0:
-            raise ConfigError(f"the confidence is within 0 and 1, found {self.confidence}")
+        check(self, "")
 
 
 @dataclass(frozen=True)

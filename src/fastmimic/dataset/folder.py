@@ -25,7 +25,8 @@ from typing import Any, Final, TypeVar
 import msgspec
 
 from fastmimic.base.arrays import fingerprint
-from fastmimic.base.errors import ConfigError, LibraryError, OutputError, did_you_mean
+from fastmimic.base.configuration import check, parameter
+from fastmimic.base.errors import ConfigError, LibraryError, OutputError, check_positive, did_you_mean
 from fastmimic.base.files import check_folder, from_json, replace_file, write_text
 from fastmimic.base.text import csv_text
 from fastmimic.control.config import CONFIGS, controller_config
@@ -81,8 +82,8 @@ class BuildSettings(SearchSettings):
     iterations: int | None = None
     population: int = 10
     evaluation_s: float = 10.0
-    perturbed: int = 8
-    others: int = 16
+    perturbed: int = parameter(8, low=1)
+    others: int = parameter(16)
     second_simulator: bool = True
     choice: FinalChoice = FinalChoice()
 
@@ -94,11 +95,8 @@ class BuildSettings(SearchSettings):
             object.__setattr__(self, "config", str(Path(self.config).resolve()))
         CmaSettings(self.iterations, self.population)
         Objective(self.duration_s)
-        for name, least in (("perturbed", 1), ("others", 0)):
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
-        if not self.evaluation_s > 0:
-            raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
+        check(self, "")
+        check_positive(self.evaluation_s, "the length of an episode")
 
     @cached_property
     def digest(self) -> str:
