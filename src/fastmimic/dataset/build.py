@@ -258,8 +258,7 @@ class _Builder:
 def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
     there, was = None, {}
     try:
-        there = library.recipe_digest()
-        was = library.settings()
+        there, was = library.recipe_digest(), library.settings()
     except LibraryError as error:
         is_mended = isinstance(error, DamagedError) and library.holds(recipe.digest)
         if not (update or is_mended):

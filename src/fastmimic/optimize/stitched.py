@@ -7,7 +7,6 @@ trunk over the transition.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -88,8 +87,8 @@ class StitchedProblem(Problem):
 
     def of_segments(self, x: Array) -> list[Array]:
         """Parameters (..., k) split by segment, (..., k_i)."""
-        ends = np.cumsum([0, *(len(p.parameters) for p in self.segments)])
-        return [x[..., a:b] for a, b in pairwise(ends)]
+        ends = np.cumsum([len(p.parameters) for p in self.segments])
+        return np.split(x, ends[:-1], axis=-1)
 
     def motion(self, x: Array) -> Motion:
         """The reference motion of one candidate (k,); `provenance.stitch` holds its parameters."""
