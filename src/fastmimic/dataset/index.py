@@ -38,8 +38,7 @@ _GROUPS: Final = {
 }
 FIGURES: Final = _GROUPS["figures"]
 """Columns of a finished motion; figures of episodes have the names of `Metrics`, of the nominal episode where a name
-says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start` is the record that the
-search began from."""
+says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`, `warm_start` the search's start."""
 COSTS: Final = _GROUPS["costs"]  # differ between repetitions
 COLUMNS: Final[dict[str, type]] = {**_GROUPS["identity"], **FIGURES, **COSTS}
 """Name → type. A record has a value or None in each. `source` is a record's place, `piece` the digest of the excerpt's
@@ -185,8 +184,7 @@ def grade(record: Mapping[str, Any]) -> tuple[str, str]:
 
 
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
-"""Further columns of the index: grade, the reason it is not better, whether the motion is kept, and whether it is the
-best of its excerpt and robot."""
+"""Further columns: the grade, why it is not better, whether the motion is kept, and if it is its excerpt's best."""
 _CHUNK: Final = 2048
 _CHOSEN_BY: Final = (
     *("id", "name", "robot", "robot_file", "seed", "piece", "robot_digest", "recipe"),

@@ -37,12 +37,10 @@ def default_cycles(motion: Motion) -> int:
 def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None = None) -> Motion:
     """Joins two or more cyclic demonstrations of one rate into one that does not repeat. `cycles` are the repetitions
     of each; about `SEGMENT_S` each if None. The last segment ends with its cycle, the others within 0.6 s and half a
-    cycle of it, where they fit the next one best.
-
-    The result's `provenance.stitch` holds the segments, the cycles' starts and figures of the transitions, `parts` the
-    motions. Raises `ConfigError` for a wrong number of motions or cycles, or more than `MAX_S`; `MotionError` for an
-    unfit motion, a segment too short for its transitions, or a foot that never lifts off and would have to move.
-    """
+    cycle of it, where they fit the next one best. The result's `provenance.stitch` holds the segments, the cycles'
+    starts and figures of the transitions, `parts` the motions. Raises `ConfigError` for a wrong number of motions or
+    cycles, or more than `MAX_S`; `MotionError` for an unfit motion, a segment too short for its transitions, or a foot
+    that never lifts off and would have to move."""
     config = RetargetConfig().for_robot(robot)  # of feet, reach and balance in the transitions
     counts = _check(robot, motions, cycles)
     parts = list({id(m): m for m in motions}.values())

@@ -96,9 +96,8 @@ class FileAxes:
 
 
 def find_axes(points: Array, rate_hz: float, up: str | None, unit_m: float | None, is_level: bool) -> FileAxes:
-    """The axes and unit of the ten points (t, 10, 3) in a file, all finite. `up` and `unit_m` are known unless None;
-    if not `is_level`, the axes are a camera's, and the ground is found under the standing toes. Raises `ClipError`: not
-    upright, or larger than any animal."""
+    """The axes and unit of the ten points (t, 10, 3) in a file, all finite; `up` and `unit_m` as known, or None. If not
+    `is_level`, they are a camera's: standing toes show the ground. Raises `ClipError`: not upright, or too large."""
     notes = []
     if up is None:
         vector = _toe_to_hip(points)
@@ -265,10 +264,9 @@ class Tracks:
     skeleton: Skeleton | None = None  # between all the points; of a clip without, only the ten are kept
 
     def clip(self, *, fps: float | None, up: str | None, point_map: PointMap | None, frames: Part | None) -> Clip:
-        """The clip; the options are as in `ReadOptions`. Points may be missing (NaN, or with too low a confidence):
-        short gaps are filled; of longer ones, the clip is the part with `frames` in it, or the longest, and lists all
-        in `meta["parts"]`. Raises `ClipError`: no frame rate or an impossible one, unknown points, frames that hold a
-        gap, or no upright, right-handed animal."""
+        """The clip; the options are as in `ReadOptions`. Short gaps (NaN, or too low a confidence) are filled; longer
+        ones cut the take: the clip is the part with `frames`, or the longest, and `meta["parts"]` lists all. Raises
+        `ClipError`: no possible rate, unknown points, frames that hold a gap, or no upright, right-handed animal."""
         rate_hz = self._rate() if fps is None else float(fps)
         chosen, assumed = choose(self.names, point_map)
         check_rate(rate_hz)

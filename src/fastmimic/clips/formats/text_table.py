@@ -76,10 +76,9 @@ def to_array(
 ) -> Array:
     """The values of all rows, (rows, columns). `names` are the columns' and `what` is the format, for messages;
     `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be NaN or empty;
-    what is in the columns `unused` is not looked at, and NaN. Raises `ClipError`, with line and column: wrong number of
-    columns, or a value that is not a finite, sensible number; and for too few rows. With a list `unread`, such lines
-    are NaN in `gaps` and go on from their neighbours elsewhere, and a sentence on them is added to the list; more than
-    half are an error."""
+    the columns `unused` are not read, and NaN. Raises `ClipError`, with line and column: wrong number of columns, a
+    value that is not a finite, sensible number, or too few rows. With a list `unread`, such lines are NaN in `gaps` and
+    go on from their neighbours elsewhere, and the list gets a sentence on them; more than half are an error."""
     from scipy.interpolate import interp1d
 
     columns = len(names)
