@@ -45,11 +45,13 @@ class SegmentConfig:
 
 
 def aperiodicity_of(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple[Indices, Array]:
-    """The lags (k,), frames, and d' (t, k); NaN where the take holds less than half a cycle on one side. It is the
-    difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), with the toes' paths under the hips
-    instead of a sound. At frame t and lag L it compares the cycle before t with the next one, d(t, L) = mean over s in
-    [t - L, t) of |x(s + L) - x(s)|², relative to its mean over all shorter lags: d'(t, L) is near 0 where x repeats
-    after L, near 1 where it does not."""
+    """The lags (k,), frames, and d' (t, k); NaN where the take holds less than half a cycle on one side.
+
+    It is the difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), with the toes' paths under
+    the hips instead of a sound. At frame t and lag L it compares the cycle before t with the next one, d(t, L) = mean
+    over s in [t - L, t) of |x(s + L) - x(s)|², relative to its mean over all shorter lags: d'(t, L) is near 0 where x
+    repeats after L, near 1 where it does not.
+    """
     x = toes.reshape(len(toes), -1)
     n, first = len(x), math.ceil(config.shortest_s * rate_hz)
     lags = np.arange(1, min(math.floor(config.longest_s * rate_hz), 2 * n // 3) + 1)

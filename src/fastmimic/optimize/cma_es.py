@@ -152,11 +152,14 @@ def optimize(
 ) -> Optimum:
     """Maximises the problem's objective. Longer episodes from perturbed starts choose the result among the best
     candidates of all iterations and the unmodulated motion, so that one lucky episode does not decide; what is better
-    by chance alone is not taken. Ctrl-C ends the search early and keeps its results so far. The file `checkpoint` takes
-    the course every few iterations; with `resume` the search goes on from it, and the result is bit for bit that of an
-    uninterrupted run. Raises `CheckpointError` if the checkpoint to resume from is missing, damaged, or of another
-    problem, `ConfigError` if an episode is too short for its disturbances, and `OutputError` if the checkpoint cannot
-    be written."""
+    by chance alone is not taken. Ctrl-C ends the search early and keeps its results so far.
+
+    The file `checkpoint` takes the course every few iterations; with `resume` the search goes on from it, and the
+    result is bit for bit that of an uninterrupted run.
+
+    Raises `CheckpointError` if the checkpoint to resume from is missing, damaged, or of another problem, `ConfigError`
+    if an episode is too short for its disturbances, and `OutputError` if the checkpoint cannot be written.
+    """
     return _Search(problem, settings, Path(checkpoint) if checkpoint is not None else None).run(resume, progress)
 
 
