@@ -184,17 +184,15 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrac
         root_z += w * motion.root_pos_w[at, 2]
         tilt += w[:, None] * body.tilt[at]
         local_feet += feet[i][..., None] * _feet(body)[at]
-        begins = [0] * 4 if segment.feet is None else [s.end for s in segment.feet]
-        following = layout.segments[i + 1].feet if i + 1 < len(layout.segments) else None
-        ends = [n] * 4 if following is None else [s.start for s in following]
         for leg in range(4):
+            begins = 0
             if segment.feet is not None:
                 span = segment.feet[leg]
+                begins = span.end
                 contact[span.start : span.end, leg] = span.stands
                 if not span.stands:
                     _pass_in_swing(local_feet[:, leg], span, parts, layout.segments[i - 1], segment, leg)
-            own = np.arange(begins[leg], max(begins[leg], ends[leg]))
-            contact[own, leg] = motion.contact[(own - segment.shift) % motion.n_samples, leg]
+            contact[begins:, leg] = motion.contact[at[begins:], leg]  # until the next segment overwrites it
     first = parts[layout.segments[0].part]
     heading = yaw_from_quat(first.root_quat_wxyz[0]) + np.concatenate([[0.0], np.cumsum(turn[:-1])])
     moved = np.cumsum(rotate_planar(heading[:-1], step[:-1]), axis=0)

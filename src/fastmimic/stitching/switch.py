@@ -54,10 +54,7 @@ class Cycle:
     @classmethod
     def of(cls, motion: Motion) -> "Cycle":
         n = motion.n_samples
-        stances = tuple(
-            () if motion.contact[:, leg].all() else tuple(stances_of(motion.contact[:, leg], periodic=True))
-            for leg in range(4)
-        )
+        stances = tuple(() if on.all() else tuple(stances_of(on, periodic=True)) for on in motion.contact.T)
         steps = max((len(s) for s in stances), default=0)
         stride = min(round(n / max(steps, 1)), round(0.8 * motion.rate_hz))
         yaw = yaw_from_quat(motion.root_quat_wxyz)
