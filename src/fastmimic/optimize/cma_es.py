@@ -189,7 +189,6 @@ class _Search:
         before = self._replay() if resume else 0.0
         began, done_before = time.perf_counter(), len(self.scores)
         given = self.problem.evaluate(self.given)
-        baseline = float(given[0])
         interrupted = False
         try:
             while len(self.scores) < self.limit and not self._settled():
@@ -214,23 +213,16 @@ class _Search:
         elapsed = before + time.perf_counter() - began
         self._save(elapsed)
         scores = np.array(self.scores).reshape(-1, self.settings.population)
-        searched = len(given) + scores.size
-        validated = self.validated * self.choice.episodes
+        course = scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma)
+        searched, validated = len(given) + scores.size, self.validated * self.choice.episodes
+        steps = searched * self.problem.steps + validated * self.validation_steps
         return Optimum(
             x=x,
             score=score,
             validation=validation,
-            history=History(
-                best=scores.max(axis=1),
-                mean=scores.mean(axis=1),
-                std=scores.std(axis=1),
-                sigma=np.array(self.sigma),
-                baseline=baseline,
-                start=float(given.max()),
-            ),
+            history=History(*course, baseline=float(given[0]), start=float(given.max())),
             evaluations=searched + validated,
-            simulated_s=(searched * self.problem.steps + validated * self.validation_steps)
-            / self.problem.config.rate_hz,
+            simulated_s=steps / self.problem.config.rate_hz,
             elapsed_s=elapsed,
             interrupted=interrupted or hurried,
         )
@@ -256,10 +248,9 @@ class _Search:
             if len(self.scores) == self.limit:
                 break
             if not np.array_equal(np.array(self.strategy.ask()), u):
-                raise CheckpointError(
-                    f"{self.checkpoint}: this installation of CMA-ES does not reproduce the recorded candidates;"
-                    " resume with the versions that wrote it or leave out --resume to start anew"
-                )
+                said = "this installation of CMA-ES does not reproduce the recorded candidates"
+                again = "resume with the versions that wrote it or leave out --resume to start anew"
+                raise CheckpointError(f"{self.checkpoint}: {said}; {again}")
             self._tell(u, scores)
         return saved.elapsed_s
 

@@ -130,18 +130,16 @@ class Problem(ABC):
         """Runs one episode per table (n, t) of `SAMPLE` on the workers; returns a result for each part, in order."""
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(bounds)]
+        # compiles and builds before the threads start
+        loops = [self._loop(worker, part.stop - part.start) for worker, part in enumerate(parts)]
 
-        def run(worker: int) -> Rollout:
-            part = parts[worker]
-            loop = self._loop(worker, part.stop - part.start)
+        def run(loop: ClosedLoop, part: slice) -> Rollout:
             return loop.run(tables[part], start.part(part), steps, divisions=self.divisions)
 
         if len(parts) == 1:
-            return [run(0)]
-        for worker, part in enumerate(parts):  # compiles and builds before the threads start
-            self._loop(worker, part.stop - part.start)
+            return [run(loops[0], parts[0])]
         with ThreadPoolExecutor(len(parts)) as pool:
-            return list(pool.map(run, range(len(parts))))
+            return list(pool.map(run, loops, parts))
 
     def evaluate(self, x: Array) -> Array:
         """Scores of n candidates (n, k), greater is better, (n,)."""
