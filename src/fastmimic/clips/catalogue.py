@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ClipError, did_you_mean, naming
@@ -14,8 +14,6 @@ from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
 from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, generate, jump
 from fastmimic.robot.robot import Robot
-
-BUILT_IN_LICENCE: Final = "that of fastmimic"
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
     built = [(name, spec.about, _speed(spec)) for name, spec in GAITS.items()]
     built += [(name, about, "–") for name, about in JUMPS.items()]
-    rows = [MotionRow(*row, "built in", BUILT_IN_LICENCE, True) for row in built]
+    rows = [MotionRow(*row, "built in", "that of fastmimic", True) for row in built]
     for name, motion in RECORDED.items():
         fetched = find_file(motion.dataset, motion.file, folder) is not None
         licence = DATASETS[motion.dataset].licence

@@ -25,7 +25,6 @@ from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
 
 MOST_ITERATIONS: Final = 200
-_CHOOSING: Final = "validating the best candidates in longer episodes"
 _SETTLED: Final = (20, 5e-4)  # iterations whose best scores differ by less: nothing more is to be gained
 _VERSION: Final = 1
 
@@ -137,7 +136,7 @@ def optimisation_progress() -> Iterator[Callable[[Progress], None]]:
             line = f"iteration {done}/{total}  {figures}" if due(done, total) else ""
             show(line, completed=done, total=total, info=figures)
             if done == total:
-                show(_CHOOSING, description="validating")
+                show("validating the best candidates in longer episodes", description="validating")
 
         yield progress
 

@@ -34,8 +34,6 @@ from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.transition import Layout
 
-_PLANAR = ("lin_vel", "ang_vel")
-
 
 class StitchedProblem(Problem):
     """All parameters of a stitched motion's segments, scored in episodes of the whole motion."""
@@ -127,7 +125,7 @@ class StitchedProblem(Problem):
             feet += self._feet[i][..., None] * (candidate["foot_pos"] - cycle["foot_pos"])[:, at]
             share = self._trunk[i][:, None]
             angle = heading - yaw_from_quat(cycle["root_quat"])[at]
-            for name in ("root_pos", *_PLANAR):
+            for name in ("root_pos", "lin_vel", "ang_vel"):
                 tables[name] += share * turned_about_z((candidate[name] - cycle[name])[:, at], angle)
             change = quat_multiply(quat_conjugate(cycle["root_quat"])[None], candidate["root_quat"])
             turn += share * rotvec_from_quat(change)[:, at]
