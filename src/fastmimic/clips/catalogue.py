@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ClipError, did_you_mean, naming
@@ -12,10 +12,8 @@ from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, RECORDED, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
-from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, built_in, generate, jump
+from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, generate, jump
 from fastmimic.robot.robot import Robot
-
-BUILT_IN_LICENCE: Final = "that of fastmimic"
 
 
 @dataclass(frozen=True)
@@ -44,8 +42,8 @@ def parse_frames(text: str, where: str) -> tuple[int, int]:
 def describe(folder: str | Path | None = None) -> list[MotionRow]:
     """One row for each name, the built-in ones first."""
     built = [(name, spec.about, _speed(spec)) for name, spec in GAITS.items()]
-    built += [(name, spec.about, "–") for name, spec in JUMPS.items()]
-    rows = [MotionRow(*row, "built in", BUILT_IN_LICENCE, True) for row in built]
+    built += [(name, about, "–") for name, about in JUMPS.items()]
+    rows = [MotionRow(*row, "built in", "that of fastmimic", True) for row in built]
     for name, motion in RECORDED.items():
         fetched = find_file(motion.dataset, motion.file, folder) is not None
         licence = DATASETS[motion.dataset].licence
@@ -77,8 +75,7 @@ def open_clip(
         frames: (first, end) 0-based, end exclusive; relative to the named clip.
         speed, yaw_rate, duty: of a built-in gait, m/s, rad/s and share of stance; its own if None.
         folder: the data folder (see `data_folder`).
-        cycle: whether the clip is one period of a motion that repeats, whatever its source says; None for what it
-            says, or shows.
+        cycle: whether the clip is one period of a motion that repeats; None for what its source says, or shows.
 
     The clip has `name`, `source`, `licence` and `credit` in its `meta`. Raises `ClipError` for an unknown name (lists
     the closest), data not fetched, an unreadable file, or an option that does not apply.
@@ -92,7 +89,7 @@ def open_clip(
     if name in GAITS or name in JUMPS:
         read = {"frame rate": fps, "vertical axis": up, "travel": travel}
         _refuse(name, "it is generated, not read from a file", read)
-        clip = generate(name, **gait_options) if name in GAITS else jump(JUMPS[name], built_in(name))
+        clip = generate(name, **gait_options) if name in GAITS else jump(name)
         clip = _cut(name, clip if scale is None else with_scale(clip, scale), frames)
     else:
         clip = _recorded(name, options, folder) if name in RECORDED else _file(name_or_path, options)
@@ -110,8 +107,7 @@ def open_parts(name_or_path: str | Path, **options: Any) -> list[tuple[int, Clip
 
 
 def check_name(name: str) -> None:
-    """Checks, without reading it, that a motion of that name exists and its recording has been fetched. Raises
-    `ClipError`: unknown name (lists the closest), or data not fetched."""
+    """Raises `ClipError` for an unknown name (lists the closest), or data not fetched; reads nothing."""
     if name not in motion_names():
         raise _unknown(name)
     if name in RECORDED:

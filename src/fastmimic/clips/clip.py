@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import LARGEST, LEGS
 from fastmimic.base.errors import ClipError, check_positive
 from fastmimic.base.files import packaged
@@ -68,14 +68,14 @@ class Clip:
         skeleton: the bones between the drawn points.
     """
 
-    points_w: NDArray[np.float64]
+    points_w: Array
     rate_hz: float
-    root_quat_wxyz: NDArray[np.float64] | None = None
+    root_quat_wxyz: Array | None = None
     is_cycle: bool | None = None
     leg_length_m: float | None = None
     scale: float | None = None
     meta: dict[str, Any] = field(default_factory=dict)
-    body_w: NDArray[np.float64] | None = None
+    body_w: Array | None = None
     skeleton: Skeleton = KEYPOINTS
 
     def __repr__(self) -> str:
@@ -102,21 +102,21 @@ class Clip:
         return self.points_w.shape[0]
 
     @property
-    def drawn_w(self) -> NDArray[np.float64]:
+    def drawn_w(self) -> Array:
         """The points that `skeleton` joins, (t, k, 3), world frame, m."""
         return self.points_w if self.body_w is None else self.body_w
 
-    def point(self, name: str) -> NDArray[np.float64]:
+    def point(self, name: str) -> Array:
         """Trajectory of one keypoint, (t, 3), world frame, m."""
         return self.points_w[:, POINT_NAMES.index(name)]
 
     @property
-    def hips_w(self) -> NDArray[np.float64]:
+    def hips_w(self) -> Array:
         """Shoulders and hips, (t, 4, 3), legs in the common order, world frame, m."""
         return self.points_w[:, 2:6]
 
     @property
-    def toes_w(self) -> NDArray[np.float64]:
+    def toes_w(self) -> Array:
         """Toes, (t, 4, 3), legs in the common order, world frame, m."""
         return self.points_w[:, 6:10]
 

@@ -1,5 +1,4 @@
-"""Public motion capture of a dog: the datasets, their folder, and verified downloads. The data is not part of this
-package. Each clip keeps its licence (CC BY-NC 4.0)."""
+"""Public motion capture of a dog (CC BY-NC 4.0), which is not part of this package: folder and verified downloads."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -87,12 +86,10 @@ def fetch(
     progress: Progress | None = None,
 ) -> list[Path]:
     """Downloads datasets (all if `names` is None) to the data folder, except files that are there and unchanged.
-
     `base_url` is a server with the original's folders or the data folder's, else $FASTMIMIC_DATA_URL or the original;
     `progress` is called while each file is downloaded. Returns the files' paths, all verified. Raises `DataError`:
     unknown dataset, server not reached, download incomplete, wrong content, or a folder that cannot be written.
-    Existing files stay, and no partial file is left.
-    """
+    Existing files stay, and no partial file is left."""
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")
     datasets = [DATASETS[name] for name in (DATASETS if names is None else names)]

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, Indices, stretches
 from fastmimic.base.configuration import check, tabulated
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import turned_about_z
@@ -44,7 +44,7 @@ class SegmentConfig:
             raise ConfigError(f"segment: the longest cycle ({longest}) must be longer than the shortest ({shortest})")
 
 
-def aperiodicity_of(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple[NDArray[np.int64], Array]:
+def aperiodicity_of(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple[Indices, Array]:
     """The lags (k,), frames, and d' (t, k); NaN where the take holds less than half a cycle on one side.
 
     It is the difference function of the pitch detector YIN (de Cheveigné and Kawahara 2002), with the toes' paths under
@@ -69,7 +69,7 @@ def aperiodicity_of(toes: Array, rate_hz: float, config: SegmentConfig) -> tuple
     return lags[first - 1 :], relative[:, first - 1 :]
 
 
-def cheapest_track(lags: NDArray[np.int64], aperiodicity: Array, config: SegmentConfig) -> NDArray[np.int64]:
+def cheapest_track(lags: Indices, aperiodicity: Array, config: SegmentConfig) -> Indices:
     """The lag (t,) at which each frame repeats, 0 where it does not: the cheapest path through d' (Viterbi)."""
     n, k = aperiodicity.shape
     cost = np.where(np.isfinite(aperiodicity), aperiodicity, np.inf)
@@ -102,11 +102,9 @@ _SQUARE: Final = 0.125  # cycles: half way between pace, walk and trot
 
 
 def footfall_of(phases: Array) -> str:
-    """The gait of legs with phases (4,), cycles, in the common order; one of `FOOTFALLS` (Hildebrand 1965).
-
-    In a symmetrical gait left and right are half a cycle apart. The fore foot's lag behind the hind foot of its side,
-    in cycles, then distinguishes pace (0), walk (1/4) and trot (1/2).
-    """
+    """The gait of legs with phases (4,), cycles, in the common order; one of `FOOTFALLS` (Hildebrand 1965). In a
+    symmetrical gait left and right are half a cycle apart; the fore foot's lag behind the hind foot of its side, in
+    cycles, then distinguishes pace (0), walk (1/4) and trot (1/2)."""
 
     def apart(a: int, b: int) -> float:
         return float(abs((phases[a] - phases[b] + 0.5) % 1.0 - 0.5))
@@ -142,8 +140,7 @@ class Segment:
         gait: one of `GAITS`.
         footfall: one of `FOOTFALLS`, of a turn as well; None where nothing repeats.
         period_frames, cycle: period, and the cycle (first, end) that repeats best; None where nothing repeats.
-        confidence: from 0, where d' is no better than chance, to 1, an exact repetition; for standing and discrete
-            parts, how clearly nothing repeats.
+        confidence: from 0, d' no better than chance, to 1, an exact repetition; of others, how clearly nothing repeats.
         speed_m_per_s: mean over the ground, of the trunk, in the animal's size.
         yaw_rate_rad_per_s: mean of its heading, positive to the left.
     """
@@ -175,7 +172,7 @@ class _Take:
     config: SegmentConfig
 
     @cached_property
-    def repetition(self) -> tuple[NDArray[np.int64], Array]:
+    def repetition(self) -> tuple[Indices, Array]:
         """The lags, and d' (`aperiodicity_of`)."""
         return aperiodicity_of(self.toes, self.rate_hz, self.config)
 
@@ -217,7 +214,7 @@ def take_of(clip: Clip, config: SegmentConfig) -> _Take:
     return _Take(toes, heading, ((neck + pelvis) / 2)[:, :2], clip.rate_hz, config)
 
 
-def _still(take: _Take) -> NDArray[np.bool_]:
+def _still(take: _Take) -> Flags:
     """Whether nothing moves (t,) for half a second around a frame."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -251,7 +248,7 @@ class _Piece:
         )
 
 
-def _periodic(take: _Take, period: NDArray[np.int64]) -> list[Segment]:
+def _periodic(take: _Take, period: Indices) -> list[Segment]:
     runs = stretches(period > 0)
     found = []
     for i, (start, end) in enumerate(runs):
@@ -311,7 +308,7 @@ def _joined(a: _Piece, b: _Piece) -> _Piece:
     return _Piece(a.start, b.end, period, speed, yaw, np.asarray(legs))
 
 
-def _segment(take: _Take, piece: _Piece, track: NDArray[np.int64]) -> Segment:
+def _segment(take: _Take, piece: _Piece, track: Indices) -> Segment:
     (lags, aperiodicity), start, end = take.repetition, piece.start, piece.end
     tracked = track[start:end]
     frames = start + np.flatnonzero(tracked > 0)

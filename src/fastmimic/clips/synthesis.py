@@ -2,8 +2,7 @@
 
 They replace recordings that cannot be shipped. The trunk bobs, sways, rolls and pitches with its steps. The paws roll
 over the toes before lift-off, swing in an asymmetric arc, front higher than hind, and reach back a little before
-touch-down. All paths are twice continuously differentiable in time. In a jump, the animal crouches, leaves the ground,
-lands and stands.
+touch-down. All paths are twice continuously differentiable in time. A jump goes from standing to standing.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ from fastmimic.base.rotations import planar_exp, quat_rotate, rotate_planar, tru
 from fastmimic.clips.clip import Clip
 
 RATE_HZ: Final = 120.0
-ROBOT_SCALE: Final = 0.825  # speeds and lifts are given at the A1's size; the animal is larger by the published scale
+ANIMAL: Final = 1.0 / 0.825  # speeds and lifts are given at the A1's size; the animal is larger by the published scale
 
 # A dog, m: means over the public recordings (points against the middle of the neck–pelvis line).
 ROOT_HEIGHT: Final = 0.443
@@ -103,46 +102,45 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
     n = max(8, round(spec.period * RATE_HZ))
     share = np.arange(n) / n
     period = n / RATE_HZ
-    animal = 1.0 / ROBOT_SCALE
-    twist = np.array([spec.speed * animal * period, spec.lateral_speed * animal * period, spec.yaw_rate * period])
-    position, quat = _trunk(spec, share, twist, animal)
+    twist = np.array([spec.speed * ANIMAL * period, spec.lateral_speed * ANIMAL * period, spec.yaw_rate * period])
+    position, quat = _trunk(spec, share, twist)
     points = [position + quat_rotate(quat, -SPINE), position + quat_rotate(quat, SPINE)]
     points += [position + quat_rotate(quat, hip) for hip in HIP]
-    points += [_toe(spec, leg, share, twist, animal) for leg in range(4)]
+    points += [_toe(spec, leg, share, twist) for leg in range(4)]
     return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=True, meta=dict(meta or {}))
 
 
-def _trunk(spec: GaitSpec, share: Array, twist: Array, animal: float) -> tuple[Array, Array]:
+def _trunk(spec: GaitSpec, share: Array, twist: Array) -> tuple[Array, Array]:
     """Middle of the neck–pelvis line (t, 3) and the trunk's orientation (t, 4)."""
     xy, heading = planar_exp(twist, share)
     # from mid-stance of the left hind leg, which is on the loaded side, and of the right front leg
     left = 2 * np.pi * (share - (spec.phase[3] + spec.duty / 2))
     front = 2 * np.pi * spec.bob_harmonic * (share - (spec.phase[0] + spec.duty / 2))
-    sway = spec.sway * animal * np.cos(left)
+    sway = spec.sway * ANIMAL * np.cos(left)
     xy = xy + rotate_planar(heading, np.stack([np.zeros_like(sway), sway], axis=-1))
-    z = ROOT_HEIGHT - spec.bob * animal * np.cos(front)  # lowest in the middle of a stance
+    z = ROOT_HEIGHT - spec.bob * ANIMAL * np.cos(front)  # lowest in the middle of a stance
     roll, pitch = -spec.roll * np.cos(left - 0.4), spec.pitch * np.cos(front - 0.6)  # the standing side is down
     quat = trunk_quaternion(heading + spec.yaw * np.sin(left), np.stack([roll, pitch], axis=-1))
     return np.concatenate([xy, z[:, None]], axis=1), quat
 
 
-def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array, animal: float) -> Array:
+def _toe(spec: GaitSpec, leg: int, share: Array, twist: Array) -> Array:
     """World path (t, 3) of one toe marker."""
     since = np.mod(share - spec.phase[leg], 1.0)  # since touch-down
     step = np.round(share - since - spec.phase[leg])  # index of the present or last stance
     middle = step + spec.phase[leg] + spec.duty / 2
-    here, there = (_foothold(spec, leg, at, twist, animal) for at in (middle, middle + 1.0))
+    here, there = (_foothold(spec, leg, at, twist) for at in (middle, middle + 1.0))
     u = np.clip((since - spec.duty) / (1.0 - spec.duty), 0.0, 1.0)
     xy = here + forward_in_swing(u)[:, None] * (there - here)
-    lift = spec.lift * animal * (1.0 if FRONT[leg] else spec.hind_lift)
+    lift = spec.lift * ANIMAL * (1.0 if FRONT[leg] else spec.hind_lift)
     z = TOE_MARKER_HEIGHT + lift * arc(u, 0.42 if FRONT[leg] else 0.5)
     return np.concatenate([xy, z[:, None]], axis=1)
 
 
-def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array, animal: float) -> Array:
+def _foothold(spec: GaitSpec, leg: int, middle: Array, twist: Array) -> Array:
     """Foothold (t, 2): under the hip at mid-stance (t,), at the gait's half width."""
     xy, heading = planar_exp(twist, middle)
-    under = np.array([HIP[leg, 0], SIDE[leg] * spec.half_width * animal])
+    under = np.array([HIP[leg, 0], SIDE[leg] * spec.half_width * ANIMAL])
     return xy + rotate_planar(heading, np.broadcast_to(under, xy.shape))
 
 
@@ -167,37 +165,28 @@ def arc(u: Array, top: float) -> Array:
     return np.where((u > 0) & (u < 1), u**rise * (1 - u) ** 3.0 / peak, 0.0)
 
 
+JUMPS: Final = {"jump": "a jump forwards from standing to standing"}
+"""The built-in jumps by name, in words."""
+
+# Of the jump; lengths at the A1's size.
+_WAY: Final = 0.4  # m
+_RISE: Final = 0.16  # of the trunk in flight, m
+_TUCK: Final = 0.16  # of the feet towards it, m
+_DEEP: Final = 0.04  # how far the trunk sinks before and after, m
+_SINK_S: Final = 0.2
 _STAND_S: Final = 0.2  # before and after
 _HALF_WIDTH: Final = 0.03  # lateral distance of the feet from the midline, m
 _SPEED_IN_FLIGHT: Final = 0.7  # share of the whole way that is covered in flight
 
 
-@dataclass(frozen=True)
-class JumpSpec:
-    """A jump. Lengths at the A1's size, m: `forward` is its way, `rise` that of the trunk in flight, `tuck` that of the
-    feet towards it, and `deep` how far the trunk sinks before and after, within `sink_s`, s."""
-
-    about: str
-    forward: float
-    rise: float
-    tuck: float
-    deep: float = 0.04
-    sink_s: float = 0.2
-
-
-JUMPS: Final = {"jump": JumpSpec("a jump forwards from standing to standing", forward=0.4, rise=0.16, tuck=0.16)}
-"""The built-in jumps by name."""
-
-
-def jump(spec: JumpSpec, meta: dict[str, object] | None = None) -> Clip:
-    """A jump as an animal's keypoints, world frame, z up."""
+def jump(name: str) -> Clip:
+    """A built-in jump as an animal's keypoints, world frame, z up."""
     from scipy.interpolate import CubicHermiteSpline
 
-    animal = 1.0 / ROBOT_SCALE
-    way, deep, speed = spec.forward * animal, spec.deep * animal, np.sqrt(2 * GRAVITY * spec.rise * animal)
+    way, deep, speed = _WAY * ANIMAL, _DEEP * ANIMAL, np.sqrt(2 * GRAVITY * _RISE * ANIMAL)
     flight, push = 2 * speed / GRAVITY, 2 * deep / speed
     # at rest, at rest, lowest, leaving the ground, landing, lowest, at rest, at rest
-    knots = np.cumsum([0.0, _STAND_S, spec.sink_s, push, flight, push, spec.sink_s, _STAND_S])
+    knots = np.cumsum([0.0, _STAND_S, _SINK_S, push, flight, push, _SINK_S, _STAND_S])
     time = np.arange(round(knots[-1] * RATE_HZ) + 1) / RATE_HZ
     in_air = (time > knots[3]) & (time < knots[4])
     air = np.clip((time - knots[3]) / flight, 0.0, 1.0)
@@ -207,11 +196,11 @@ def jump(spec: JumpSpec, meta: dict[str, object] | None = None) -> Clip:
     covered, moving = np.array([[0, 0, 0, 0.15, 0.85, 1, 1, 1], [0, 0, 0, 1, 1, 0, 0, 0]])
     ahead = way * CubicHermiteSpline(knots, covered, _SPEED_IN_FLIGHT / flight * moving)(time)
     trunk = np.column_stack([ahead, np.zeros_like(up), ROOT_HEIGHT + up])
-    lift = np.where(in_air, up, 0.0) + spec.tuck * animal * arc(air, 0.5)
+    lift = np.where(in_air, up, 0.0) + _TUCK * ANIMAL * arc(air, 0.5)
 
     def toe(leg: int) -> Array:
-        x, y = HIP[leg, 0] + way * forward_in_swing(air), SIDE[leg] * _HALF_WIDTH * animal
+        x, y = HIP[leg, 0] + way * forward_in_swing(air), SIDE[leg] * _HALF_WIDTH * ANIMAL
         return np.column_stack([x, np.full_like(lift, y), TOE_MARKER_HEIGHT + lift])
 
     points = [trunk - SPINE, trunk + SPINE, *(trunk + hip for hip in HIP), *(toe(leg) for leg in range(4))]
-    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=False, meta=dict(meta or {}))
+    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=False, meta=built_in(name))

@@ -52,9 +52,8 @@ class _Feet(NamedTuple):
 
 
 def with_travel(clip: Clip, travel: str = "auto") -> Clip:
-    """The clip with the way that its standing feet show, in place of a trunk that does not travel. `travel` "auto"
-    recovers it where the recording lacks it, "recover" always, and "as-is" never; the clip's `assumed` says what was
-    found. Raises `ClipError` for another word."""
+    """The clip with the way that its standing feet show, if its trunk does not travel (`travel` "auto"), always
+    ("recover") or never ("as-is"); its `assumed` says what was found. Raises `ClipError` for another word."""
     if travel not in TRAVEL:
         raise unknown("travel", travel, TRAVEL, ClipError)
     moving = _rms(np.gradient(clip.toes_w[..., :2], 1.0 / clip.rate_hz, axis=0))

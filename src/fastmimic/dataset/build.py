@@ -10,6 +10,7 @@ from random import Random
 from typing import Any, Final
 
 from fastmimic.base.arrays import fingerprint
+from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.base.files import remove_file, write_text
 from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
@@ -22,8 +23,7 @@ from fastmimic.robot import Robot, load_robot
 CONFIDENCE: Final = 0.5
 INDEX_EVERY: Final = 200
 INDEX_SHARE: Final = 0.1
-"""A running build writes the index after `INDEX_EVERY` new records, if these are so large a share of all; writing the
-index reads every record."""
+"""A running build writes the index, which reads every record, after so many new ones, if they are so large a share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ class BuildRequest:
     sources: Sequence[DatasetSource]
     recipe: BuildSettings
     robots: Sequence[str]
-    seeds: int = 1
-    confidence: float = CONFIDENCE
+    seeds: int = parameter(1, low=1)
+    confidence: float = parameter(CONFIDENCE, high=1.0)
     cut: Cut = "cycles"
     warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
@@ -51,10 +51,7 @@ class BuildRequest:
     def __post_init__(self) -> None:
         if not self.robots:
             raise ConfigError("a library needs at least one robot")
-        if self.seeds < 1:
-            raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
-        if not 0.0 <= self.confidence <= 1.0:
-            raise ConfigError(f"the confidence is within 0 and 1, found {self.confidence}")
+        check(self, "")
 
 
 @dataclass(frozen=True)
@@ -161,11 +158,11 @@ class _Builder:
             done = self._make(jobs, seen)
         except BaseException:
             library.write_index(settled=False)
-            seen.save()
             raise
+        finally:
+            seen.save()
         ids = frozenset(job.id for job in jobs)
         table = self._settle(ids).table
-        seen.save()
         names = {robot.name for robot in robots.values()}
         others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
         left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
@@ -261,13 +258,10 @@ class _Builder:
 def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
     there, was = None, {}
     try:
-        there = library.recipe_digest()
-        was = library.settings()
-    except DamagedError:
-        if not (update or library.holds(recipe.digest)):
-            raise
-    except LibraryError:
-        if not update:
+        there, was = library.recipe_digest(), library.settings()
+    except LibraryError as error:
+        is_mended = isinstance(error, DamagedError) and library.holds(recipe.digest)
+        if not (update or is_mended):
             raise
     if there is not None and there != recipe.digest and not update:
         other = [name for name, value in recipe.as_dict().items() if was.get(name) != value]

@@ -259,8 +259,7 @@ def survey(source: DatasetSource, confidence: float, cut: Cut = "cycles") -> Sur
 
 
 def look_of(source: DatasetSource, confidence: float, cut: Cut) -> str | None:
-    """The inputs of a `survey`, with a file's size and time, in words; equal inputs need no new survey. Returns None
-    for a motion's name, which has no file to compare."""
+    """The inputs of a `survey` in words, with a file's size and time, to see if they changed; None without a file."""
     files = [source.place, *([] if source.point_map is None else [source.point_map])]
     try:
         states = [Path(place).stat() for place in files]
@@ -319,8 +318,7 @@ def _whole(source: DatasetSource, first: int, take: Clip) -> Survey:
 
 
 def _of_take(source: DatasetSource, first: int, take: Clip, confidence: float, discrete: bool) -> Survey:
-    """Excerpts of a take, or of the part of one that begins at frame `first`; the whole of a short clip that is one
-    cycle by its description or its ends."""
+    """Excerpts of a take, or of its part that begins at frame `first`; the whole of a short clip that is one cycle."""
 
     def excerpt(frames: tuple[int, int], segment: Segment, repeats: bool) -> Excerpt:
         start, end = frames

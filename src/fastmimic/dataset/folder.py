@@ -20,12 +20,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
 from fastmimic.base.arrays import fingerprint
-from fastmimic.base.errors import ConfigError, LibraryError, OutputError, did_you_mean
+from fastmimic.base.configuration import check, parameter
+from fastmimic.base.errors import ConfigError, LibraryError, OutputError, check_positive, did_you_mean
 from fastmimic.base.files import check_folder, from_json, replace_file, write_text
 from fastmimic.base.text import csv_text
 from fastmimic.control.config import CONFIGS, controller_config
@@ -40,9 +41,6 @@ from fastmimic.optimize.problem import Objective
 from fastmimic.robot import load_robot
 from fastmimic.runs.work_folder import lock
 from fastmimic.simulation.conditions import other_ranges
-
-if TYPE_CHECKING:
-    import pyarrow
 
 SETTINGS: Final = "library.json"
 INDEX: Final = "index.parquet"
@@ -84,8 +82,8 @@ class BuildSettings(SearchSettings):
     iterations: int | None = None
     population: int = 10
     evaluation_s: float = 10.0
-    perturbed: int = 8
-    others: int = 16
+    perturbed: int = parameter(8, low=1)
+    others: int = parameter(16)
     second_simulator: bool = True
     choice: FinalChoice = FinalChoice()
 
@@ -97,11 +95,8 @@ class BuildSettings(SearchSettings):
             object.__setattr__(self, "config", str(Path(self.config).resolve()))
         CmaSettings(self.iterations, self.population)
         Objective(self.duration_s)
-        for name, least in (("perturbed", 1), ("others", 0)):
-            if getattr(self, name) < least:
-                raise ConfigError(f"{name} must be at least {least}, found {getattr(self, name)}")
-        if not self.evaluation_s > 0:
-            raise ConfigError(f"the length of an episode must be positive, found {self.evaluation_s}")
+        check(self, "")
+        check_positive(self.evaluation_s, "the length of an episode")
 
     @cached_property
     def digest(self) -> str:
@@ -219,11 +214,9 @@ class MotionDataset:
         return gather(self.path, plan if plan is not None else self.plan())
 
     def write_index(self, *, settled: bool = True) -> Gathered:
-        """Writes and returns the index of the existing records.
-
-        With `settled`, repeats this until no other builder has finished a record meanwhile; for use at the end of a
-        build. Raises `LibraryError` if Arrow is not installed, `OutputError` if the index cannot be written.
-        """
+        """Writes and returns the index of the existing records; with `settled`, at the end of a build, again until no
+        other builder has finished a record meanwhile. Raises `LibraryError` if Arrow is not installed, `OutputError` if
+        the index cannot be written."""
         parquet = require_pyarrow()
         while True:
             there = self._state()
@@ -236,7 +229,7 @@ class MotionDataset:
         """Rows of the index, with all columns by default; raises `LibraryError` if it is missing or damaged."""
         return list(self.index_table(columns).to_pylist())
 
-    def index_table(self, columns: Sequence[str] = ()) -> "pyarrow.Table":
+    def index_table(self, columns: Sequence[str] = ()) -> Any:
         """The index as an Arrow table; raises as `index`."""
         parquet = require_pyarrow()
         path = self.path / INDEX
@@ -329,12 +322,10 @@ def export_library(
     fps: float = DEFAULT_FPS,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Path:
-    """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file.
-
-    The rows of the index have the columns `NEEDED`, and each a motion; `form` is one of `EXPORTS`. Calls `progress`
-    with (files done, files in all). Raises `FastMimicError` for a folder within the library, an unknown format, a
-    damaged motion, or a file that cannot be written.
-    """
+    """Writes motions as `fastmimic.motion.export` does, and a table of them; returns the table's file. The rows of the
+    index have the columns `NEEDED`, and each a motion; `form` is one of `EXPORTS`. Calls `progress` with (files done,
+    files in all). Raises `FastMimicError` for a folder within the library, an unknown format, a damaged motion, or a
+    file that cannot be written."""
     if Path(folder).resolve().is_relative_to(library.path.resolve()):
         said = "is in the library, whose own motions would be overwritten"
         raise LibraryError(f"{folder}: {said}; choose another folder")

@@ -38,18 +38,13 @@ _GROUPS: Final = {
 }
 FIGURES: Final = _GROUPS["figures"]
 """Columns of a finished motion; figures of episodes have the names of `Metrics`, of the nominal episode where a name
-says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`; `warm_start` is the record that the
-search began from."""
+says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`, `warm_start` the search's start."""
 COSTS: Final = _GROUPS["costs"]  # differ between repetitions
 COLUMNS: Final[dict[str, type]] = {**_GROUPS["identity"], **FIGURES, **COSTS}
 """Name → type. A record has a value or None in each. `source` is a record's place, `piece` the digest of the excerpt's
 content, `robot_file` a user's MJCF, `robot_digest` that of the robot's description, `reason` that of a failure."""
 _KINDS: Final[dict[type, Any]] = {str: str, int: int, float: (int, float), bool: (bool, int, float)}  # as JSON has them
 _NEEDED: Final = ("name", "piece", "robot", "robot_digest", "seed", "recipe", "status")
-
-
-def empty() -> Record:
-    return dict.fromkeys(COLUMNS)
 
 
 def sha256(path: Path) -> str:
@@ -81,7 +76,7 @@ def read_record(path: Path) -> Record | None:
         return None
     if not isinstance(found, dict) or not found.keys() <= COLUMNS.keys() or found.get("id") != path.stem:
         return None
-    found = empty() | found
+    found = dict.fromkeys(COLUMNS) | found
     whole = all(value is None or isinstance(value, _KINDS[COLUMNS[name]]) for name, value in found.items())
     return found if whole and all(found[name] is not None for name in _NEEDED) else None
 
@@ -98,11 +93,8 @@ def damage(folder: Path, record: Mapping[str, Any]) -> str | None:
 
 
 class FinishedJobs:
-    """A cache of intact records and motions, so that a build need not read all of them at its start.
-
-    It compares sizes and times of files, and reads a file only if they differ. `fastmimic.dataset.repair.check` finds
-    other damage.
-    """
+    """A cache of intact records and motions, so that a build need not read all of them at its start: it compares files'
+    sizes and times, and reads those that differ. `fastmimic.dataset.repair.check` finds other damage."""
 
     def __init__(self, folder: Path) -> None:
         """Loads the saved state; empty if that is missing or damaged."""
@@ -192,8 +184,7 @@ def grade(record: Mapping[str, Any]) -> tuple[str, str]:
 
 
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
-"""Further columns of the index: grade, the reason it is not better, whether the motion is kept, and whether it is the
-best of its excerpt and robot."""
+"""Further columns: the grade, why it is not better, whether the motion is kept, and if it is its excerpt's best."""
 _CHUNK: Final = 2048
 _CHOSEN_BY: Final = (
     *("id", "name", "robot", "robot_file", "seed", "piece", "robot_digest", "recipe"),

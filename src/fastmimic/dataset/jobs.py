@@ -24,7 +24,7 @@ from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.dataset.excerpts import Excerpt, reason_of
 from fastmimic.dataset.folder import SETTINGS, BuildSettings, MotionDataset, Row
-from fastmimic.dataset.index import DONE, FAILED, MOTIONS, Record, empty, load_record, robot_of, save_record, sha256
+from fastmimic.dataset.index import COLUMNS, DONE, FAILED, MOTIONS, Record, load_record, robot_of, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics
@@ -94,7 +94,7 @@ class Job:
     def record(self) -> Record:
         """The part of its record that is known in advance."""
         return {
-            **empty(),
+            **dict.fromkeys(COLUMNS),
             **self.piece.described,
             "id": self.id,
             "robot": Path(self.robot).stem,
@@ -116,11 +116,9 @@ def now() -> str:
 
 
 def perform(job: Job, report: Report) -> Record:
-    """Runs a job unless its record exists; returns the record.
-
-    Errors of the excerpt, and defects that it reveals, go into the record, so that the other motions are still made.
-    Raises `OutputError` if the library's folder is not visible here, or cannot be written to, such as a full disk.
-    """
+    """Runs a job unless its record exists; returns the record. Errors of the excerpt, and defects that it reveals, go
+    into the record, so that the other motions are still made. Raises `OutputError` if the library's folder is not
+    visible here, or cannot be written to, such as a full disk."""
     if not (job.folder / SETTINGS).is_file():
         said = f"no library there as seen from {socket.gethostname()}"
         raise OutputError(f"{job.folder}: {said}; all machines must see it under the same path")
@@ -189,7 +187,7 @@ def _made(job: Job, report: Report) -> Record:
 def _tried(job: Job, result: Imitation) -> Record:
     recipe, robot, demonstration = job.recipe, result.robot, result.demonstration
     measured = measure(result, recipe.evaluation_s, recipe.perturbed)
-    figures = {name: value for name, value in measured.figures.items() if name in empty()}
+    figures = {name: value for name, value in measured.figures.items() if name in COLUMNS}
     needs = demands(robot, demonstration)
     exceeded = reasons(needs, describe_fall(robot, measured.after))
     simulated_s = result.simulated_s + measured.simulated_s
@@ -224,10 +222,8 @@ def _tried(job: Job, result: Imitation) -> Record:
 @dataclass(frozen=True, eq=False)
 class Neighbours:
     """Where searches begin: a library's excerpts by digest, and for each robot (name or file) the best row of each.
-
     Similar excerpts have about the same period, speed and turning, and the same footfall, on the same robot. The search
-    takes over the motion's modulation (`fastmimic.optimize.parameters.moved_by`), not its style.
-    """
+    takes over the motion's modulation (`fastmimic.optimize.parameters.moved_by`), not its style."""
 
     library: Path
     pieces: Mapping[str, Excerpt]
@@ -247,8 +243,7 @@ class Neighbours:
         return cls(library.path.resolve(), pieces, best)
 
     def nearest(self, piece: Excerpt, robot: str) -> WarmStart | None:
-        """The start of a search for an excerpt on a robot (name or MJCF), of equally near ones that with the first id;
-        None if no excerpt on that robot is near."""
+        """The nearest start for an excerpt on a robot (name or MJCF), of equals the first by id; None if far."""
         if not piece.repeats or robot not in self._places:
             return None
         rows, places, footfalls = self._places[robot]

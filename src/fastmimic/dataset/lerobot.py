@@ -30,15 +30,9 @@ Columns = dict[str, NDArray[Any]]
 def write_lerobot(folder: str | Path, rollout: Rollout, robot: Robot, task: str, fps: float) -> int:
     """Writes a rollout with its log as a new folder for `lerobot.datasets.LeRobotDataset`; returns the number of
     frames. A frame has the state before a control step and what this step commands: target angles, and torques by the
-    motor law at this state, about the joints' axes in the robot's file. An episode ends where the robot fell.
-
-    Args:
-        task: what the robot does, in words.
-        fps: frames a second, a whole divisor of the control rate.
-
-    Raises `ConfigError` for another rate, `OutputError` if the folder exists or cannot be written, `LibraryError`
-    without Arrow.
-    """
+    motor law at this state, about the joints' axes in the robot's file. An episode ends where the robot fell. `task`
+    says in words what the robot does; `fps`, frames a second, divides the control rate. Raises `ConfigError` for
+    another rate, `OutputError` if the folder exists or cannot be written, `LibraryError` without Arrow."""
     folder, rate = Path(folder), rollout.course.rate_hz
     check_lerobot(folder, rate, fps)
     episodes = [_episode(rollout, i, robot, int(rate // fps)) for i in range(len(rollout.reward))]

@@ -68,9 +68,8 @@ def check(library: MotionDataset, progress: Progress = lambda done, total: None)
 
 def rerun(library: MotionDataset, count: int, progress: Progress = lambda done, total: None) -> tuple[list[str], int]:
     """Runs the nominal episodes of `count` random motions (at most all) again; calls `progress` with (done, all).
-    Returns the motions with another reward than recorded, or with a damaged or missing file or robot, one line each,
-    and the number drawn. Raises `LibraryError` for a missing or damaged index, `ConfigError` for a missing parameter
-    file."""
+    Returns a line for each motion with another reward than recorded, or a damaged or missing file or robot, and the
+    number drawn. Raises `LibraryError` for a missing or damaged index, `ConfigError` for a missing parameter file."""
     recipe = library.recipe()
     assert recipe is not None, "an open library has one"
     controller = controller_config(recipe.config)
@@ -96,11 +95,9 @@ def rerun(library: MotionDataset, count: int, progress: Progress = lambda done, 
 
 
 def mend(library: MotionDataset, progress: Progress = lambda done, total: None) -> tuple[DatasetHealth, int]:
-    """Removes damaged files and those of no record that belongs to the library, and writes the index.
-
-    Returns the defects found before, and the number of removed files. Raises `LibraryError` while a build runs, because
-    its files do not have records yet, and `OutputError` if a file cannot be removed.
-    """
+    """Removes damaged files and those of no record that belongs to the library, and writes the index; returns the
+    defects found before, and the number of removed files. Raises `LibraryError` while a build runs, because its files
+    do not have records yet, and `OutputError` if a file cannot be removed."""
     removed = 0
     with working(library.path, alone=True):
         health = check(library, progress)

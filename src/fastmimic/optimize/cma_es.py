@@ -25,7 +25,6 @@ from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.optimize.problem import Problem
 
 MOST_ITERATIONS: Final = 200
-_CHOOSING: Final = "validating the best candidates in longer episodes"
 _SETTLED: Final = (20, 5e-4)  # iterations whose best scores differ by less: nothing more is to be gained
 _VERSION: Final = 1
 
@@ -60,11 +59,9 @@ class Checkpoint:
         if version != _VERSION:
             raise CheckpointError(f"{path}: checkpoint version {version}; this release reads version {_VERSION}")
         if identity not in (None, found.identity):
-            raise CheckpointError(
-                f"{path}: this checkpoint is of another problem (motion, robot, configuration, duration,"
-                " seed or population differ); resume with the same arguments or choose another output"
-                " folder"
-            )
+            said = "of another problem (motion, robot, configuration, duration, seed or population differ)"
+            again = "resume with the same arguments or choose another output folder"
+            raise CheckpointError(f"{path}: this checkpoint is {said}; {again}")
         if found.candidates.ndim != 3 or found.scores.shape != found.candidates.shape[:2]:
             raise CheckpointError(f"{path}: damaged checkpoint (shapes {found.candidates.shape}, {found.scores.shape})")
         return found
@@ -139,7 +136,7 @@ def optimisation_progress() -> Iterator[Callable[[Progress], None]]:
             line = f"iteration {done}/{total}  {figures}" if due(done, total) else ""
             show(line, completed=done, total=total, info=figures)
             if done == total:
-                show(_CHOOSING, description="validating")
+                show("validating the best candidates in longer episodes", description="validating")
 
         yield progress
 
@@ -191,7 +188,6 @@ class _Search:
         before = self._replay() if resume else 0.0
         began, done_before = time.perf_counter(), len(self.scores)
         given = self.problem.evaluate(self.given)
-        baseline = float(given[0])
         interrupted = False
         try:
             while len(self.scores) < self.limit and not self._settled():
@@ -216,23 +212,16 @@ class _Search:
         elapsed = before + time.perf_counter() - began
         self._save(elapsed)
         scores = np.array(self.scores).reshape(-1, self.settings.population)
-        searched = len(given) + scores.size
-        validated = self.validated * self.choice.episodes
+        course = scores.max(axis=1), scores.mean(axis=1), scores.std(axis=1), np.array(self.sigma)
+        searched, validated = len(given) + scores.size, self.validated * self.choice.episodes
+        steps = searched * self.problem.steps + validated * self.validation_steps
         return Optimum(
             x=x,
             score=score,
             validation=validation,
-            history=History(
-                best=scores.max(axis=1),
-                mean=scores.mean(axis=1),
-                std=scores.std(axis=1),
-                sigma=np.array(self.sigma),
-                baseline=baseline,
-                start=float(given.max()),
-            ),
+            history=History(*course, baseline=float(given[0]), start=float(given.max())),
             evaluations=searched + validated,
-            simulated_s=(searched * self.problem.steps + validated * self.validation_steps)
-            / self.problem.config.rate_hz,
+            simulated_s=steps / self.problem.config.rate_hz,
             elapsed_s=elapsed,
             interrupted=interrupted or hurried,
         )
@@ -258,10 +247,9 @@ class _Search:
             if len(self.scores) == self.limit:
                 break
             if not np.array_equal(np.array(self.strategy.ask()), u):
-                raise CheckpointError(
-                    f"{self.checkpoint}: this installation of CMA-ES does not reproduce the recorded candidates;"
-                    " resume with the versions that wrote it or leave out --resume to start anew"
-                )
+                said = "this installation of CMA-ES does not reproduce the recorded candidates"
+                again = "resume with the versions that wrote it or leave out --resume to start anew"
+                raise CheckpointError(f"{self.checkpoint}: {said}; {again}")
             self._tell(u, scores)
         return saved.elapsed_s
 
@@ -302,8 +290,7 @@ class _Search:
 
 
 def _pycma() -> Any:
-    """pycma without the statistics and plots that it takes along where it finds them: the search needs neither, and
-    they are half a second of every process's start."""
+    """pycma without the statistics and plots that it loads where it can: half a second of every process's start."""
     spared = [name for name in ("scipy.stats", "matplotlib") if name not in sys.modules]
     sys.modules.update(dict.fromkeys(spared))  # type: ignore[arg-type]
     try:

@@ -2,7 +2,7 @@
 search chooses its result among its best candidates."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.conventions import LEGS
@@ -35,34 +35,13 @@ class Parameter:
             raise ConfigError(f"parameter {self.name}: {self.initial:g} is not within [{self.lower:g}, {self.upper:g}]")
 
 
-@dataclass(frozen=True)
-class Opened:
-    """A DMP parameter of a group: a "goal", with bounds relative to the fitted baseline, or an "amplitude"."""
-
-    dimension: str
-    kind: str
-    unit: str
-    lower: float
-    upper: float
-
-    @property
-    def name(self) -> str:
-        return f"{self.dimension}.{self.kind}"
-
-    def of(self, dmp: "MotionDmp") -> Parameter:
-        """The parameter for this motion."""
-        if self.kind == _AMPLITUDE:
-            return Parameter(self.name, self.unit, self.lower, self.upper, 1.0)
-        g = float(dmp.goal[dmp.index(self.dimension)])
-        return Parameter(self.name, self.unit, g + self.lower, g + self.upper, g)
+def _goals(dimensions: Iterable[str], unit: str, each_way: float) -> tuple[Parameter, ...]:
+    """Baselines, relative to the fitted ones."""
+    return tuple(Parameter(f"{name}.{_GOAL}", unit, -each_way, each_way, 0.0) for name in dimensions)
 
 
-def _goals(dimensions: Iterable[str], unit: str, each_way: float) -> tuple[Opened, ...]:
-    return tuple(Opened(name, _GOAL, unit, -each_way, each_way) for name in dimensions)
-
-
-def _amplitudes(dimensions: Iterable[str], lower: float, upper: float) -> tuple[Opened, ...]:
-    return tuple(Opened(name, _AMPLITUDE, "1", lower, upper) for name in dimensions)
+def _amplitudes(dimensions: Iterable[str], lower: float, upper: float) -> tuple[Parameter, ...]:
+    return tuple(Parameter(f"{name}.{_AMPLITUDE}", "1", lower, upper, 1.0) for name in dimensions)
 
 
 _UP: Final = [f"{leg}_foot_z" for leg in LEGS]
@@ -76,13 +55,20 @@ PARAMETER_GROUPS: Final = {
     FOOT_PATH: _PATHS,  # 24: g and a of all dimensions of the feet
     FEET_AND_TRUNK: (*_PATHS, *_TRUNK),  # 26: and g of the trunk's height and pitch
 }
-"""Parameters by group; each group holds all of those before it. Add an entry to open others."""
+"""Parameters by group, goals relative to fitted ones; each group holds all of those before it. Add one to open more."""
 
 
 def parameters_of_group(group: str, dmp: "MotionDmp") -> tuple[Parameter, ...]:
-    """The parameters of a group; raises `ConfigError` if there is no such group."""
+    """The parameters of a group for this motion; raises `ConfigError` if there is no such group."""
     _check_group(group)
-    return tuple(opened.of(dmp) for opened in PARAMETER_GROUPS[group])
+    found = []
+    for known in PARAMETER_GROUPS[group]:
+        dimension, kind = known.name.split(".")
+        if kind == _GOAL:
+            g = float(dmp.goal[dmp.index(dimension)])
+            known = replace(known, lower=g + known.lower, upper=g + known.upper, initial=g)
+        found.append(known)
+    return tuple(found)
 
 
 def needed_group(group: str, *started: Iterable[str]) -> str:
@@ -91,9 +77,9 @@ def needed_group(group: str, *started: Iterable[str]) -> str:
     wanted = set().union(*started)
     names = list(PARAMETER_GROUPS)
     for candidate in names[names.index(group) :]:
-        if wanted <= {opened.name for opened in PARAMETER_GROUPS[candidate]}:
+        known = {parameter.name for parameter in PARAMETER_GROUPS[candidate]}
+        if wanted <= known:
             return candidate
-    known = {opened.name for opened in PARAMETER_GROUPS[names[-1]]}
     raise MotionError(f"a motion moves {', '.join(sorted(wanted - known))}, which no method optimises")
 
 
@@ -106,9 +92,8 @@ def moved_by(motion: Motion) -> dict[str, float]:
     """An optimised cycle's modulation: baselines relative to the fitted ones, and amplitudes; raises `MotionError`."""
     dmp = motion.provenance.dmp
     if motion.demonstration is None or dmp is None:
-        raise MotionError(
-            f"motion '{motion.name}' was not optimised as one cycle: there is nothing in it to begin from"
-        )
+        said = f"motion '{motion.name}' was not optimised as one cycle"
+        raise MotionError(f"{said}: there is nothing in it to begin from")
     found: dict[str, float] = {}
     for name, goal, fitted, amplitude in dmp.modulation():
         found[f"{name}.{_GOAL}"] = goal - fitted

@@ -14,12 +14,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import check_positive
 from fastmimic.base.machine import available_cores
 from fastmimic.control.config import ControllerConfig
@@ -90,7 +89,7 @@ class Problem(ABC):
         """The reference motion of one candidate (k,), with its demonstration."""
 
     @abstractmethod
-    def tables(self, x: Array) -> NDArray[Any]:
+    def tables(self, x: Array) -> Records:
         """Reference motions of n candidates (n, k) for the controller, (n, t) of `SAMPLE`."""
 
     @abstractmethod
@@ -127,28 +126,26 @@ class Problem(ABC):
         content = (*(table.tobytes() for table in tables), self.robot.content)
         return hashlib.sha256(b"".join((*content, json.dumps(settings, sort_keys=True).encode()))).hexdigest()
 
-    def rollout(self, tables: NDArray[Any], start: Start, steps: int) -> list[Rollout]:
+    def rollout(self, tables: Records, start: Start, steps: int) -> list[Rollout]:
         """Runs one episode per table (n, t) of `SAMPLE` on the workers; returns a result for each part, in order."""
         bounds = np.linspace(0, len(tables), min(self.workers, len(tables)) + 1).astype(int)
         parts = [slice(a, b) for a, b in pairwise(bounds)]
+        # compiles and builds before the threads start
+        loops = [self._loop(worker, part.stop - part.start) for worker, part in enumerate(parts)]
 
-        def run(worker: int) -> Rollout:
-            part = parts[worker]
-            loop = self._loop(worker, part.stop - part.start)
+        def run(loop: ClosedLoop, part: slice) -> Rollout:
             return loop.run(tables[part], start.part(part), steps, divisions=self.divisions)
 
         if len(parts) == 1:
-            return [run(0)]
-        for worker, part in enumerate(parts):  # compiles and builds before the threads start
-            self._loop(worker, part.stop - part.start)
+            return [run(loops[0], parts[0])]
         with ThreadPoolExecutor(len(parts)) as pool:
-            return list(pool.map(run, range(len(parts))))
+            return list(pool.map(run, loops, parts))
 
     def evaluate(self, x: Array) -> Array:
         """Scores of n candidates (n, k), greater is better, (n,)."""
         return self.scores(self.tables(x), nominal_start(len(x)), self.steps)
 
-    def scores(self, tables: NDArray[Any], start: Start, steps: int) -> Array:
+    def scores(self, tables: Records, start: Start, steps: int) -> Array:
         """Objective of each episode, (n,); arguments as for `rollout`."""
         return np.concatenate([self.score(r) for r in self.rollout(tables, start, steps)])
 
@@ -200,7 +197,7 @@ class ImitationProblem(Problem):
         goal, amplitude = self._modulation(x[None])
         return self.dmp.motion(goal[0], amplitude[0])
 
-    def tables(self, x: Array) -> NDArray[Any]:
+    def tables(self, x: Array) -> Records:
         goal, amplitude = self._modulation(x)
         feet = self.dmp.foot_table(goal, amplitude)
         tables = np.repeat(self._base[None], len(x), axis=0)

@@ -7,13 +7,11 @@ trunk over the transition.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import (
     quat_conjugate,
@@ -35,8 +33,6 @@ from fastmimic.primitive.motion_dmp import foot_table, rate_of
 from fastmimic.reference.table import reference_table
 from fastmimic.robot import Robot
 from fastmimic.stitching.transition import Layout
-
-_PLANAR = ("lin_vel", "ang_vel")
 
 
 class StitchedProblem(Problem):
@@ -66,17 +62,14 @@ class StitchedProblem(Problem):
             ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], group=group, config=config, workers=1)
             for s in self.layout.segments
         ]
-        parameters = [
-            replace(p, name=f"{i}:{s.name}/{p.name}")
-            for i, (s, problem) in enumerate(zip(self.layout.segments, self.segments, strict=True), start=1)
-            for p in problem.parameters
-        ]
+        labels = [f"{i}:{s.name}/" for i, s in enumerate(self.layout.segments, start=1)]
+        labelled = zip(labels, self.segments, strict=True)
+        parameters = [replace(p, name=label + p.name) for label, problem in labelled for p in problem.parameters]
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
         if start is not None and not isinstance(start, Mapping):
             if len(start) != len(self.segments):
                 raise ConfigError(f"the start is of {len(start)} segments; the motion has {len(self.segments)}")
-            named = zip(self.layout.segments, start, strict=True)
-            start = {f"{i}:{s.name}/{p}": v for i, (s, own) in enumerate(named, start=1) for p, v in own.items()}
+            start = {label + name: v for label, own in zip(labels, start, strict=True) for name, v in own.items()}
         given = start or {}
         unknown = sorted(given.keys() - {p.name for p in parameters})
         if unknown:
@@ -92,8 +85,8 @@ class StitchedProblem(Problem):
 
     def of_segments(self, x: Array) -> list[Array]:
         """Parameters (..., k) split by segment, (..., k_i)."""
-        ends = np.cumsum([0, *(len(p.parameters) for p in self.segments)])
-        return [x[..., a:b] for a, b in pairwise(ends)]
+        ends = np.cumsum([len(p.parameters) for p in self.segments])
+        return np.split(x, ends[:-1], axis=-1)
 
     def motion(self, x: Array) -> Motion:
         """The reference motion of one candidate (k,); `provenance.stitch` holds its parameters."""
@@ -120,7 +113,7 @@ class StitchedProblem(Problem):
             demonstration=demo,
         )
 
-    def tables(self, x: Array) -> NDArray[Any]:
+    def tables(self, x: Array) -> Records:
         tables = np.repeat(self._table[None], len(x), axis=0)
         feet = np.array(tables["foot_pos"])
         heading = yaw_from_quat(self._table["root_quat"])
@@ -132,7 +125,7 @@ class StitchedProblem(Problem):
             feet += self._feet[i][..., None] * (candidate["foot_pos"] - cycle["foot_pos"])[:, at]
             share = self._trunk[i][:, None]
             angle = heading - yaw_from_quat(cycle["root_quat"])[at]
-            for name in ("root_pos", *_PLANAR):
+            for name in ("root_pos", "lin_vel", "ang_vel"):
                 tables[name] += share * turned_about_z((candidate[name] - cycle[name])[:, at], angle)
             change = quat_multiply(quat_conjugate(cycle["root_quat"])[None], candidate["root_quat"])
             turn += share * rotvec_from_quat(change)[:, at]

@@ -12,9 +12,8 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, rotate_planar, trunk_quaternion, turned_about_z, yaw_from_quat
 from fastmimic.motion.motion import Motion
@@ -38,13 +37,10 @@ def default_cycles(motion: Motion) -> int:
 def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None = None) -> Motion:
     """Joins two or more cyclic demonstrations of one rate into one that does not repeat. `cycles` are the repetitions
     of each; about `SEGMENT_S` each if None. The last segment ends with its cycle, the others within 0.6 s and half a
-    cycle of it, where they fit the next one best.
-
-    The result's `provenance.stitch` holds the segments, the starts of the cycles and figures of the transitions;
-    `parts` holds the motions. Raises `ConfigError` for a wrong number of motions or cycles, or more than `MAX_S`;
-    `MotionError` for an unfit motion, a segment too short for its transitions, or a foot that never lifts off and would
-    have to move.
-    """
+    cycle of it, where they fit the next one best. The result's `provenance.stitch` holds the segments, the cycles'
+    starts and figures of the transitions, `parts` the motions. Raises `ConfigError` for a wrong number of motions or
+    cycles, or more than `MAX_S`; `MotionError` for an unfit motion, a segment too short for its transitions, or a foot
+    that never lifts off and would have to move."""
     config = RetargetConfig().for_robot(robot)  # of feet, reach and balance in the transitions
     counts = _check(robot, motions, cycles)
     parts = list({id(m): m for m in motions}.values())
@@ -105,9 +101,8 @@ def _check(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int] | None
         if count < 1:
             raise ConfigError(f"every motion needs at least one cycle, found {count} for '{motion.name}'")
     if sum(c * m.n_samples for c, m in zip(counts, motions, strict=True)) > MAX_S * motions[0].rate_hz:
-        raise ConfigError(
-            f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {', '.join(map(str, counts))}"
-        )
+        listed = ", ".join(map(str, counts))
+        raise ConfigError(f"the stitched motion would be longer than {MAX_S:g} s: fewer cycles than {listed}")
     return counts
 
 
@@ -169,7 +164,7 @@ def _samples(parts: Sequence[Motion], layout: Layout, track: TrunkTrack) -> dict
     return out
 
 
-def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, NDArray[np.bool_]]:
+def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrack, Array, Flags]:
     """The blended trunk, the feet's paths (n, 4, 3) under it (world; z above the ground) and the contacts (n, 4); the
     planar path integrates the blended velocity in the heading frame."""
     n, t = layout.n, np.arange(layout.n)
@@ -189,17 +184,15 @@ def _laid_end_to_end(parts: Sequence[Motion], layout: Layout) -> tuple[TrunkTrac
         root_z += w * motion.root_pos_w[at, 2]
         tilt += w[:, None] * body.tilt[at]
         local_feet += feet[i][..., None] * _feet(body)[at]
-        begins = [0] * 4 if segment.feet is None else [s.end for s in segment.feet]
-        following = layout.segments[i + 1].feet if i + 1 < len(layout.segments) else None
-        ends = [n] * 4 if following is None else [s.start for s in following]
         for leg in range(4):
+            begins = 0
             if segment.feet is not None:
                 span = segment.feet[leg]
+                begins = span.end
                 contact[span.start : span.end, leg] = span.stands
                 if not span.stands:
                     _pass_in_swing(local_feet[:, leg], span, parts, layout.segments[i - 1], segment, leg)
-            own = np.arange(begins[leg], max(begins[leg], ends[leg]))
-            contact[own, leg] = motion.contact[(own - segment.shift) % motion.n_samples, leg]
+            contact[begins:, leg] = motion.contact[at[begins:], leg]  # until the next segment overwrites it
     first = parts[layout.segments[0].part]
     heading = yaw_from_quat(first.root_quat_wxyz[0]) + np.concatenate([[0.0], np.cumsum(turn[:-1])])
     moved = np.cumsum(rotate_planar(heading[:-1], step[:-1]), axis=0)

@@ -11,9 +11,8 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.motion.contacts import Stance, stances_of
 from fastmimic.motion.motion import Motion
@@ -48,17 +47,14 @@ class Cycle:
 
     n: int
     stances: tuple[tuple[Stance, ...], ...]
-    contact: NDArray[np.bool_]
+    contact: Flags
     velocity: Array
     stride: int
 
     @classmethod
     def of(cls, motion: Motion) -> "Cycle":
         n = motion.n_samples
-        stances = tuple(
-            () if motion.contact[:, leg].all() else tuple(stances_of(motion.contact[:, leg], periodic=True))
-            for leg in range(4)
-        )
+        stances = tuple(() if on.all() else tuple(stances_of(on, periodic=True)) for on in motion.contact.T)
         steps = max((len(s) for s in stances), default=0)
         stride = min(round(n / max(steps, 1)), round(0.8 * motion.rate_hz))
         yaw = yaw_from_quat(motion.root_quat_wxyz)
@@ -86,35 +82,26 @@ class Cycle:
 @dataclass(frozen=True)
 class Switch:
     """A switch between two cyclic motions, where sample `out` of the first, not wrapped, meets `into` of the second.
-    `feet` are the merged stances or swings relative to that moment; `half` is half the samples of the trunk's blend;
-    `cost` is small where the motions agree well."""
+    `feet` are the merged stances or swings relative to it; `half` is half the samples of the trunk's blend."""
 
     out: int
     into: int
     feet: tuple[Span, Span, Span, Span]
     half: int
-    cost: float
+    cost: float  # small where the motions agree well
 
 
 def best_switch(a: Cycle, b: Cycle, out: int, rate_hz: float, reach: Reach, linger_s: float) -> Switch:
     """The best switch from `a`, near its unwrapped sample `out`, to the beginning of `b`."""
     step = max(1, round(_STEP_S * rate_hz))
-
-    def about(cycle: Cycle, middle: int | None) -> range:
-        most = min(cycle.n // 2, round(SEARCH_S * rate_hz))
-        if middle is None:
-            return range(-most + 1, most + 1, step)
-        finer = max(1, step // _FINER)
-        return range(max(middle - step, -most + 1), min(middle + step, most) + 1, finer)
-
-    found: tuple[int, Switch] | None = None
-    for _ in range(2):  # a coarse grid, then a fine one about its best point
-        offset, into = (None, None) if found is None else (found[0], found[1].into)
-        here = _best_of(a, b, out, about(a, offset), about(b, into), rate_hz, reach, linger_s)
-        if found is None or here.cost < found[1].cost:
-            found = here.out - out, here
-    assert found is not None
-    return found[1]
+    finer = max(1, step // _FINER)
+    farthest = [min(cycle.n // 2, round(SEARCH_S * rate_hz)) for cycle in (a, b)]
+    offsets, intos = (range(-most + 1, most + 1, step) for most in farthest)
+    coarse = _best_of(a, b, out, offsets, intos, rate_hz, reach, linger_s)
+    best = zip((coarse.out - out, coarse.into), farthest, strict=True)
+    offsets, intos = (range(max(at - step, -most + 1), min(at + step, most) + 1, finer) for at, most in best)
+    fine = _best_of(a, b, out, offsets, intos, rate_hz, reach, linger_s)
+    return min(coarse, fine, key=lambda switch: switch.cost)
 
 
 def _best_of(
@@ -232,7 +219,7 @@ def _merge_swings(before: list[Stance], after: list[Stance], stride: float) -> t
     return best
 
 
-def _supports(contact: NDArray[np.bool_]) -> set[int]:
+def _supports(contact: Flags) -> set[int]:
     """The sets of standing feet in more than 2 % of a motion, as bits."""
     code, count = np.unique(contact @ (1 << np.arange(4)), return_counts=True)
     return {int(c) for c, k in zip(code, count, strict=True) if k >= 0.02 * len(contact)}

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import MotionError
 from fastmimic.motion.contacts import Stance, Stances, stances_of
@@ -60,9 +59,8 @@ class Layout:
 
 
 def too_short(segment: StitchedSegment) -> MotionError:
-    return MotionError(
-        f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions; give it more cycles"
-    )
+    said = f"segment '{segment.name}' with {segment.cycles} cycles is too short for its transitions"
+    return MotionError(f"{said}; give it more cycles")
 
 
 def _shares(steps: Array) -> Array:
@@ -76,7 +74,7 @@ def make_transition(
     index: int,
     track: TrunkTrack,
     raw_w: Array,
-    contact: NDArray[np.bool_],
+    contact: Flags,
     own: tuple[Cycle, Cycle],
     rate_hz: float,
     config: RetargetConfig,
@@ -86,8 +84,6 @@ def make_transition(
     samples of the whole, their arrays by the names of `Motion`, and figures of the transition. Raises `MotionError` if
     a foot that never lifts off would have to move, or a segment is too short."""
     window, rebuilt, planned, fixed = _plan(layout, index, contact, own, round(_KEPT_S * rate_hz))
-    if window.start < 0 or window.end > layout.n:
-        raise too_short(layout.segments[index - 1 if window.start < 0 else index])
     part = slice(window.start, window.end)
     names = ("root_xy", "root_z", "heading", "tilt", "toe_from_hip", "toe_height")
     local = TrunkTrack(**{name: getattr(track, name)[part] for name in names}, cycle=None)
@@ -127,36 +123,34 @@ def make_transition(
 
 
 def _plan(
-    layout: Layout, index: int, contact: NDArray[np.bool_], own: tuple[Cycle, Cycle], kept: int
+    layout: Layout, index: int, contact: Flags, own: tuple[Cycle, Cycle], kept: int
 ) -> tuple[Span, list[Span], Stances, list[list[int | None]]]:
     """A window of samples, with `kept` of the motions before and after what is rebuilt; the rebuilt samples of each
-    leg; the stances, relative to the window; and for each a sample at which the foot is at its foothold, or None if
-    that is new."""
+    leg; the stances, relative to the window; and for each a sample at which the foot is there, None if it is new."""
     before, segment = layout.segments[index - 1], layout.segments[index]
     trunk, feet = segment.trunk, segment.feet
     assert trunk is not None
     assert feet is not None
-    spans, rebuilt, free = [], [], []
+    rebuilt, known = [], []
     for leg in range(4):
         lifts = bool(own[0].stances[leg]), bool(own[1].stances[leg])
         if not any(lifts):
-            raise MotionError(
-                f"'{before.name}' and '{segment.name}' cannot be joined: the {LEGS[leg]} foot never lifts off in either"
-            )
+            said = f"'{before.name}' and '{segment.name}' cannot be joined"
+            raise MotionError(f"{said}: the {LEGS[leg]} foot never lifts off in either")
         stances = stances_of(contact[:, leg], periodic=False)
-        fixed: list[int | None] = []
+        fixed: dict[Stance, int | None] = {}
         for s in stances:
             middle = (s.touch_down + s.lift_off) // 2
             merged = feet[leg].stands and s.touch_down < feet[leg].end and s.lift_off > feet[leg].start
             if merged and not lifts[0]:
-                fixed.append(min(trunk.start, feet[leg].start))
+                fixed[s] = min(trunk.start, feet[leg].start)
             elif merged and not lifts[1]:
-                fixed.append(max(trunk.end, feet[leg].end))
+                fixed[s] = max(trunk.end, feet[leg].end)
             elif merged or trunk.start < middle < trunk.end:
-                fixed.append(None)
+                fixed[s] = None
             else:  # the foot rolls: what is rebuilt begins where it lifts off, and ends where it touches down
-                fixed.append(s.lift_off - 1 if middle <= trunk.start else s.touch_down)
-        new = [k for k, at in enumerate(fixed) if at is None]
+                fixed[s] = s.lift_off - 1 if middle <= trunk.start else s.touch_down
+        new = [k for k, at in enumerate(fixed.values()) if at is None]
         begin, end = trunk.start, trunk.end
         if not feet[leg].stands:
             begin, end = min(begin, feet[leg].start), max(end, feet[leg].end)
@@ -169,20 +163,14 @@ def _plan(
         elif not lifts[1]:
             begin = min(begin, max((s.lift_off for s in stances if s.lift_off <= feet[leg].start), default=begin))
             end = max(end, feet[leg].end)
-        spans.append(stances)
-        free.append(fixed)
+        known.append(fixed)
         rebuilt.append(Span(begin, end))
-    window = Span(
-        min(trunk.start, *(s.start for s in rebuilt)) - kept, max(trunk.end, *(s.end for s in rebuilt)) + kept
-    )
-    inside: Stances = []
-    seen_at: list[list[int | None]] = []
-    for stances, fixed in zip(spans, free, strict=True):
-        seen = [
-            (Stance(max(s.touch_down, window.start) - window.start, min(s.lift_off, window.end) - window.start), at)
-            for s, at in zip(stances, fixed, strict=True)
-            if s.touch_down < window.end and s.lift_off > window.start
-        ]
-        inside.append([s for s, _ in seen])
-        seen_at.append([at for _, at in seen])
+    first, last = min(trunk.start, *(s.start for s in rebuilt)), max(trunk.end, *(s.end for s in rebuilt))
+    window = Span(first - kept, last + kept)
+    if window.start < 0 or window.end > layout.n:
+        raise too_short(before if window.start < 0 else segment)
+    inside, seen_at = [], []
+    for leg, fixed in enumerate(known):
+        inside.append(stances_of(contact[window.start : window.end, leg], periodic=False))
+        seen_at.append([at for s, at in fixed.items() if s.touch_down < window.end and s.lift_off > window.start])
     return window, rebuilt, inside, seen_at

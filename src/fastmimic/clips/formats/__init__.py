@@ -1,6 +1,5 @@
 """Animal and robot motion files, recognised by content, never by name. To add a format here, write its reader in a
-module, and name it in `formats.json` and below. A user's script registers one with `FORMATS.register(Format(…))`, see
-`examples/extend/motion_format.py`."""
+module and name it in `formats.json` and below; a script registers its own (`examples/extend/motion_format.py`)."""
 
 import io
 from collections.abc import Callable
@@ -44,8 +43,7 @@ _READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[..., Any]]]]
     "glb": (lambda content: content.data.startswith(b"glTF"), skeletons.read_glb),
     "ai4animation": (lambda content: content.members >= skeletons.AI4ANIMATION, skeletons.read_ai4animation),
 }
-"""What tells the formats of `formats.json` by the content, and what reads them: a clip, or `Tracks` if they take a
-`point_map`."""
+"""What tells the formats of `formats.json` by content, and what reads them: a clip, or `Tracks` with a `point_map`."""
 
 
 _Said = dict[str, str | bool | tuple[str, ...]]

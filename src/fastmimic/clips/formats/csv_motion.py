@@ -3,8 +3,7 @@ a header, columns are found by name in any order. Without one they are taken as 
 in the order FR, FL, RR, RL, each abduction, hip, knee, and the clip says so.
 
 The same as arrays is what trajectory optimisation with Pinocchio leaves (yusongmin1/go2_flip_TO): `q` (t, 19) with the
-legs in the order FL, FR, RL, RR, `v` (t, 18), which nothing needs, and the steps `dt` (t,), s. The joints' names are an
-object, which is not read."""
+legs in the order FL, FR, RL, RR, and the steps `dt` (t,), s. Its `v` (t, 18) and the joints' names are not read."""
 
 import io
 import re
@@ -57,9 +56,7 @@ def parse(text: str, *, robot: Robot | None, fps: float | None = None) -> Clip:
     return _clip_of(motion, rate, robot, assumed, lambda i: f"line {table.rows[i].number} (frame {i})")
 
 
-def _clip_of(
-    motion: Array, rate_hz: float, robot: Robot | None, assumed: list[str], where: Callable[[int], str]
-) -> Clip:
+def _clip_of(motion: Array, rate_hz: float, robot: Robot | None, notes: list[str], where: Callable[[int], str]) -> Clip:
     """The clip of a robot's motion (t, 19); `where` gives a frame's place in the file."""
     from fastmimic.robot.kinematics import foot_positions
 
@@ -73,7 +70,7 @@ def _clip_of(
         root_quat_wxyz=quat,
         leg_length_m=robot.leg_length,
         scale=1.0,
-        meta={"assumed": [*assumed, f"joint angles are those of the {robot.name}"], "robot": robot.name},
+        meta={"assumed": [*notes, f"joint angles are those of the {robot.name}"], "robot": robot.name},
     )
 
 
@@ -138,13 +135,8 @@ def _plain(name: str) -> str:
 
 
 def _root_names(name: str) -> set[str]:
-    axis = name[-1]
-    quantity = (
-        [f"q{axis}", f"q_{axis}", f"quat_{axis}", f"quaternion_{axis}", f"rot_{axis}", f"orientation_{axis}"]
-        if name.startswith("root_q")
-        else [axis, f"p{axis}", f"t{axis}", f"p_{axis}", f"pos_{axis}", f"position_{axis}"]
-    )
-    return {prefix + item for prefix in ("", "root_", "base_", "trunk_", "body_") for item in quantity}
+    quantities = _SPELLINGS["rotation" if name.startswith("root_q") else "position"]
+    return {f"{base}{quantity}{name[-1]}" for base in _SPELLINGS["bases"] for quantity in quantities}
 
 
 def _joint_names(plain: list[str]) -> list[set[str]]:

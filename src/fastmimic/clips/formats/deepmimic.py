@@ -86,6 +86,7 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
         assumed.append("joint angles are the Laikago's, retargeted through its foot positions")
         quat = quat_multiply(quat_file, quat_conjugate(_MODEL_TO_BODY_WXYZ))
         points = robot_points(frames[:, :3], quat, _ABDUCTION_ORIGIN_B, laikago_feet(joints))
+    said = {key: document[key] for key in _LOOP_KEYS if key in document}
     return Clip(
         points_w=points,
         rate_hz=rate,
@@ -93,11 +94,7 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
         is_cycle=True if loop == "Wrap" else False if loop == "Clamp" else None,
         leg_length_m=LEG_LENGTH_M if own is None else own.leg_length,
         scale=None if of is None else 1.0,
-        meta={
-            **({} if of is None else {"robot": of}),
-            "assumed": assumed,
-            "loop": {key: document[key] for key in _LOOP_KEYS if key in document},
-        },
+        meta=({} if of is None else {"robot": of}) | {"assumed": assumed, "loop": said},
     )
 
 

@@ -1,5 +1,4 @@
-"""`Format`: a kind of motion file, with detection and parsing, and the registry of all formats. FastMimic's own robot
-motions are recognised, but `Motion.load` reads them."""
+"""`Format`: a kind of motion file, with detection and parsing; and all of them by name. `Motion.load` reads our own."""
 
 import io
 import zipfile

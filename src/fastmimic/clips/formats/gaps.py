@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, stretches
+from fastmimic.base.arrays import Array, Flags, Indices, stretches
 from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import KEYPOINTS, POINT_NAMES, not_in_clip
 
@@ -76,7 +75,7 @@ def part_for(parts: Sequence[Part], frames: Part | None, n_frames: int) -> tuple
     return (first, end), [f"{said} (all parts: {listed})"]
 
 
-def outliers(points: Array, rate_hz: float) -> NDArray[np.bool_]:
+def outliers(points: Array, rate_hz: float) -> Flags:
     """Which of the ten points (t, 10, 3) are where they cannot be, (t, 10): far from the median of their path around
     that frame, or where a limb is longer than nearly always; that is the fault of its end with most wrong limbs."""
     from scipy.ndimage import median_filter
@@ -109,7 +108,7 @@ def bridged(points: Array) -> Array:
     return columns.reshape(points.shape)
 
 
-def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _at_fault(wrong: Flags, ends: Indices) -> Flags:
     """The points (10,) that explain the wrong limbs (k,), those with the largest share of wrong limbs first."""
     found = np.zeros(len(POINT_NAMES), dtype=bool)
     limbs = np.bincount(ends.ravel(), minlength=len(found))
@@ -121,7 +120,7 @@ def _at_fault(wrong: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.b
     return found
 
 
-def _short(absent: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
+def _short(absent: Flags, rate_hz: float) -> Flags:
     """Which of the gaps (t, 10) are short and lie between two frames with the point."""
     short = np.zeros_like(absent)
     for k, column in enumerate(absent.T):
@@ -130,7 +129,7 @@ def _short(absent: NDArray[np.bool_], rate_hz: float) -> NDArray[np.bool_]:
     return short
 
 
-def _filled(path: Array, absent: NDArray[np.bool_], filled: NDArray[np.bool_]) -> Array:
+def _filled(path: Array, absent: Flags, filled: Flags) -> Array:
     """A path (t, 3) with a curve through its neighbours where `filled`, and NaN elsewhere where `absent`."""
     from scipy.interpolate import PchipInterpolator
 
@@ -141,7 +140,7 @@ def _filled(path: Array, absent: NDArray[np.bool_], filled: NDArray[np.bool_]) -
     return path
 
 
-def _counts(which: NDArray[np.bool_]) -> str:
+def _counts(which: Flags) -> str:
     """`FR_toe 8 frames, neck 4`."""
     counts = {name: int(n) for name, n in zip(POINT_NAMES, which.sum(axis=0), strict=True) if n}
     words = [f"{name} {n}" for name, n in sorted(counts.items(), key=lambda item: -item[1])]

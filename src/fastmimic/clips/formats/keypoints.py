@@ -216,8 +216,7 @@ def _framed(labels: Sequence[Sequence[str]], blocks: Sequence[Any]) -> Tracks:
 
 
 class _Labels(pickle.Unpickler):
-    """Reads the columns' labels, which pandas pickles into an attribute. Lists, tuples and texts need nothing to be
-    looked up by name; refusing that, nothing can be run."""
+    """Reads the columns' labels, which pandas pickles: lists, tuples and texts. What could run is not looked up."""
 
     def find_class(self, module: str, name: str) -> NoReturn:
         raise pickle.UnpicklingError(f"{module}.{name} among the columns' names")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, did_you_mean
@@ -40,8 +39,7 @@ _LEAST_TILT_RAD: Final = np.radians(3.0)
 
 
 def read_point_map(path: str | Path) -> dict[str, str]:
-    """Reads a point map, which may leave out all four hips. Raises `ClipError`: not a JSON object that gives each of
-    the ten points a name."""
+    """Reads a point map, which may lack all four hips; raises `ClipError` unless a JSON object names each point."""
     found = read_json(path, ClipError)
     if not all(isinstance(name, str) for name in found.values()):
         raise ClipError(f"{path}: a point map is a JSON object of names, such as {_EXAMPLE}")
@@ -57,9 +55,8 @@ def read_point_map(path: str | Path) -> dict[str, str]:
 
 
 def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | None], list[str]]:
-    """Indices (10,) of the ten points among a file's `names`, None for hips that it does not have, and a sentence on
-    what was assumed: a known set of names, or a guess from the words in them. Raises `ClipError`: no map fits; the
-    message has one to be completed."""
+    """Indices (10,) of the ten points among a file's `names`, None for hips that it lacks, and a sentence on what was
+    assumed: a known set of names, or a guess from their words. Raises `ClipError` with a map to complete: none fits."""
     maps = BUILT_IN if given is None else {"": given}
     for title, points in maps.items():
         if all(source in names for source in points.values()):
@@ -83,14 +80,13 @@ def _indices(names: Sequence[str], points: PointMap) -> list[int | None]:
 
 @dataclass(frozen=True)
 class FileAxes:
-    """`up` is the file's vertical axis, with its sign; `unit` is `factor` metres; `tilt` (3, 3) is what levels the
-    ground; `notes` are for the user."""
+    """`up` is the file's vertical axis, with its sign; `unit` is `factor` metres; `tilt` (3, 3) levels the ground."""
 
     up: str
     unit: str
     factor: float
     tilt: Array | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # for the user
 
     def to_world(self, points: Array) -> Array:
         """Points (..., 3) in the world, m."""
@@ -100,9 +96,8 @@ class FileAxes:
 
 
 def find_axes(points: Array, rate_hz: float, up: str | None, unit_m: float | None, is_level: bool) -> FileAxes:
-    """The axes and unit of the ten points (t, 10, 3) in a file, all finite. `up` and `unit_m` are known unless None;
-    if not `is_level`, the axes are a camera's, and the ground is found under the standing toes. Raises `ClipError`: not
-    upright, or larger than any animal."""
+    """The axes and unit of the ten points (t, 10, 3) in a file, all finite; `up` and `unit_m` as known, or None. If not
+    `is_level`, they are a camera's: standing toes show the ground. Raises `ClipError`: not upright, or too large."""
     notes = []
     if up is None:
         vector = _toe_to_hip(points)
@@ -172,8 +167,7 @@ def check_right_handed(points: Array) -> None:
 
 
 def _widths(points: Array) -> Array:
-    """How far the left point of each pair lies to the left of the right one on average, (4,) m: the order of
-    `POINT_NAMES`, z up."""
+    """How far left each pair's left point lies of its right one on average, (4,) m: `POINT_NAMES`' order, z up."""
     left = np.cross([0.0, 0.0, 1.0], points[:, 1] - points[:, 0])
     left /= np.linalg.norm(left, axis=1, keepdims=True)
     return np.asarray(np.einsum("ta,tpa->p", left, points[:, 3::2] - points[:, 2::2]) / len(points))
@@ -195,13 +189,10 @@ def _places(chosen: Sequence[int | None]) -> tuple[list[int], list[bool]]:
 
 
 def with_hips(points: Array) -> tuple[Array, float, str]:
-    """Fills in shoulders and hips of `points` (t, 10, 3), in the order of `POINT_NAMES`, z up, m, of an animal of which
-    only the spine and the feet were recorded. Returns the points, the length of the legs, m, and a sentence that says
-    what was assumed.
-
-    They lie below the spine's points and above the middle of the feet's places, so that the legs swing evenly to both
-    sides. How far below, and how long the legs are, follows from the proportions of the dog of the public recordings.
-    """
+    """Fills in shoulders and hips of `points` (t, 10, 3) of `POINT_NAMES`, z up, m, of an animal whose spine and
+    feet alone were recorded; returns the points, the length of the legs, m, and a sentence on what was assumed. They
+    lie below the spine's points and above the middle of the feet's places, so that the legs swing evenly to both sides.
+    How far below, and how long the legs are, follows from the proportions of the dog of the public recordings."""
     points = np.array(points)
     ahead = points[:, 1] - points[:, 0]
     heading = np.arctan2(ahead[:, 1], ahead[:, 0])[:, None]
@@ -228,7 +219,7 @@ def _listed(names: Sequence[str]) -> str:
     return shown + (f" and {len(names) - 40} more" if len(names) > 40 else "")
 
 
-def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) -> NDArray[np.float64]:
+def unit_wxyz_from_xyzw(xyzw: Array, where: Callable[[int], str]) -> Array:
     """Unit quaternions (t, 4) in the order w, x, y, z, without sign flips, from `xyzw` (t, 4). `where` gives a frame's
     position in the file, for messages. Raises `ClipError` for a norm that is not 1."""
     norm = np.linalg.norm(xyzw, axis=1)
@@ -240,9 +231,8 @@ def unit_wxyz_from_xyzw(xyzw: NDArray[np.float64], where: Callable[[int], str]) 
 
 
 def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foot_pos_b: Array) -> Array:
-    """Keypoints (t, 10, 3) in the order of `POINT_NAMES`, world frame, m, for a base pose in the world, abduction joint
-    origins (4, 3) and foot centres (t, 4, 3), body frame, m. Hips are the abduction joint origins; pelvis and neck are
-    the midpoints of the rear and the front ones."""
+    """Keypoints (t, 10, 3) of `POINT_NAMES`, world frame, m, for a base pose in the world, abduction joint origins
+    (4, 3) as hips and foot centres (t, 4, 3), body frame, m. Pelvis and neck are midpoints of rear and front hips."""
     hips = np.broadcast_to(hip_pos_b, foot_pos_b.shape)
     pelvis, neck = hips[:, 2:].mean(axis=1, keepdims=True), hips[:, :2].mean(axis=1, keepdims=True)
     points_b = np.concatenate([pelvis, neck, hips, foot_pos_b], axis=1)
@@ -274,10 +264,9 @@ class Tracks:
     skeleton: Skeleton | None = None  # between all the points; of a clip without, only the ten are kept
 
     def clip(self, *, fps: float | None, up: str | None, point_map: PointMap | None, frames: Part | None) -> Clip:
-        """The clip; the options are as in `ReadOptions`. Points may be missing (NaN, or with too low a confidence):
-        short gaps are filled; of longer ones, the clip is the part with `frames` in it, or the longest, and lists all
-        in `meta["parts"]`. Raises `ClipError`: no frame rate or an impossible one, unknown points, frames that hold a
-        gap, or no upright, right-handed animal."""
+        """The clip; the options are as in `ReadOptions`. Short gaps (NaN, or too low a confidence) are filled; longer
+        ones cut the take: the clip is the part with `frames`, or the longest, and `meta["parts"]` lists all. Raises
+        `ClipError`: no possible rate, unknown points, frames that hold a gap, or no upright, right-handed animal."""
         rate_hz = self._rate() if fps is None else float(fps)
         chosen, assumed = choose(self.names, point_map)
         check_rate(rate_hz)

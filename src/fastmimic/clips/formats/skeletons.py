@@ -6,8 +6,7 @@
 - GLB, glTF 2.0's binary form: nodes, each with translation, rotation and scale against its parent, and for each of them
   samplers of keys (linear, step or cubic spline), sampled at the rate of the densest one. It is read with pygltflib.
 - AI4AnimationPy (facebookresearch/ai4animationpy, `Motion.SaveToNPZ`): positions (t, k, 3) in the world, m, y up, with
-  names and parents of the bones, and the frame rate. Objects in the file, which nothing needs, are not read, as that
-  can run anything.
+  names and parents of the bones, and the frame rate. Objects in the file are not read, as that can run anything.
 """
 
 import io

@@ -5,8 +5,8 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
 from fastmimic.base.errors import ClipError, check_positive
 
@@ -19,9 +19,8 @@ class Row(NamedTuple):
 
 
 class Table(NamedTuple):
-    """The rows of a text, and the names of its columns if it has a header. Blank lines and lines that start with `#`
-    are left out. The header is a first line without numbers, or the last comment before the first row if it has as many
-    fields (as in `numpy.savetxt`)."""
+    """The rows of a text without blank lines and comments (`#`), and the names of its columns if it has a header: a
+    first line without numbers, or the last comment before the first row with as many fields (as in `numpy.savetxt`)."""
 
     header: list[str] | None
     header_is_comment: bool
@@ -74,13 +73,12 @@ def to_array(
     gaps: Collection[int] = (),
     unread: list[str] | None = None,
     unused: Collection[int] = (),
-) -> NDArray[np.float64]:
+) -> Array:
     """The values of all rows, (rows, columns). `names` are the columns' and `what` is the format, for messages;
     `largest` is the magnitude allowed, in all columns or in each; in the columns `gaps`, a value may be NaN or empty;
-    what is in the columns `unused` is not looked at, and NaN. Raises `ClipError`, with line and column: wrong number of
-    columns, or a value that is not a finite, sensible number; and for too few rows. With a list `unread`, such lines
-    are NaN in `gaps` and go on from their neighbours elsewhere, and a sentence on them is added to the list; more than
-    half are an error."""
+    the columns `unused` are not read, and NaN. Raises `ClipError`, with line and column: wrong number of columns, a
+    value that is not a finite, sensible number, or too few rows. With a list `unread`, such lines are NaN in `gaps` and
+    go on from their neighbours elsewhere, and the list gets a sentence on them; more than half are an error."""
     from scipy.interpolate import interp1d
 
     columns = len(names)
@@ -110,14 +108,8 @@ def to_array(
 
 
 def _numbers(
-    row: Row,
-    names: Sequence[str],
-    what: str,
-    is_last: bool,
-    largest: NDArray[np.float64],
-    may_lack: NDArray[np.bool_],
-    unused: Collection[int],
-) -> NDArray[np.float64]:
+    row: Row, names: Sequence[str], what: str, is_last: bool, largest: Array, may_lack: Flags, unused: Collection[int]
+) -> Array:
     number, fields = row
     if len(fields) != len(names):
         last = "; the last line: the file may be truncated" if is_last else ""
