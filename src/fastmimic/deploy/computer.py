@@ -106,7 +106,7 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
         for thread, (policy, priority) in before.items():
             with contextlib.suppress(OSError):  # it may have ended
                 os.sched_setscheduler(thread, policy, os.sched_param(priority))
-        if before:
+        if real_time and hasattr(os, "sched_setscheduler"):
             ctypes.CDLL(None).munlockall()
         sys.setswitchinterval(interval)
         if was_enabled:

@@ -258,10 +258,8 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
 
 def figures(scored: ScoredLog | None) -> dict[str, Any]:
     """The figures, JSON-serialisable; each None where nothing is scored."""
-    if scored is None:
-        return {"reward_mean": None, "components": None, "swing_clearance_m": None}
-    found = Metrics.of(scored.rollout).as_dict()
-    return {name: found[name] for name in (*_SCORED, *_COUNTED)}
+    found = {} if scored is None else Metrics.of(scored.rollout).as_dict()
+    return {name: found.get(name) for name in (*_SCORED, *_COUNTED)}
 
 
 def true_states(log: DeploymentLog, truth: Records, sequence: Indices) -> Records:

@@ -176,7 +176,8 @@ def load_robot(robot: str | Path | Robot) -> Robot:
             check_elements(path)
             spec = None if path.suffix.lower() == ".urdf" else mujoco.MjSpec.from_file(str(path))
         except (RobotError, ValueError, OSError, UnicodeDecodeError) as error:
-            raise RobotError(f"{path}: not a readable MJCF ({one_line(error)})") from None
+            kind = "URDF" if path.suffix.lower() == ".urdf" else "MJCF"
+            raise RobotError(f"{path}: not a readable {kind} ({one_line(error)})") from None
     with naming(path, RobotError):
         return robot_from_urdf(path) if spec is None else robot_from_spec(spec, path.stem)
 
