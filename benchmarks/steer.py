@@ -5,6 +5,10 @@
 Each episode lasts 30 s from standing in the middle of the ground, or until the robot is 25 m away. Velocities of 0 to
 `--forwards` m/s forwards, ± 0.4 m/s sideways and ± 2 rad/s are wanted for 1 to 4 s each; pushes have a random direction
 and come every 10 s. A robot that falls gets up and goes on.
+
+`style_distance` compares the robot's feet with those of the gait at its present velocity, without what steering shifts
+them by, period by period; a median. `jerk_at_changes` is the joints' jerk, RMS, in the 0.3 s after a change of gait, as
+a share of that in all other strides.
 """
 
 import argparse
@@ -18,14 +22,17 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.episode.metrics import style_distance
 from fastmimic.play.follow import SteeringFigures, follow
 from fastmimic.play.session import LiveSession
+from fastmimic.robot.kinematics import foot_positions
 from fastmimic.simulation.conditions import Conditions
-from fastmimic.steering.gait_field import GaitField, gait_field, gaits_of
+from fastmimic.steering.gait_field import RATE_HZ, GaitField, gait_field, gaits_of
 
 EPISODE_S = 30.0
 FAR_M = 25.0
 PUSH_EVERY_S = 10.0
+CHANGE_S = 0.3
 CASES: dict[str, dict[str, Any]] = {
     "flat": {},
     "pushes of 0.5 m/s": {"push": 0.5},
@@ -57,7 +64,7 @@ def main() -> None:
 def run(
     gaits: GaitField, seconds: float, seed: int, forwards: float, push: float = 0.0, terrain: str | None = None
 ) -> dict[str, Any]:
-    figures, rng, episode, control = SteeringFigures(), np.random.default_rng(seed), 0, []
+    figures, rng, episode, control, looks = SteeringFigures(), np.random.default_rng(seed), 0, [], Looks(gaits)
     while figures.seconds < seconds - 1e-6:
         ground: Any = terrain  # as a text
         conditions = Conditions(observe="sensors", seed=seed + episode, terrain=ground)
@@ -66,13 +73,63 @@ def run(
         def go_on(session: LiveSession = session) -> bool:
             if push and session.steps % round(PUSH_EVERY_S / session.dt) == round(0.5 * PUSH_EVERY_S / session.dt):
                 session.push(push * gaits.robot.mass, float(rng.uniform(-math.pi, math.pi)))
+            looks.add(session)
             return float(np.hypot(*session.observation["root_pos"][:2])) < FAR_M
 
         follow(session, commands(rng, forwards), min(EPISODE_S, seconds - figures.seconds), figures, go_on)
+        looks.end()
         control.append(session.control_us)
         episode += 1
     median, p99 = np.median(control, axis=0)
-    return figures.as_dict() | {"control_us": {"median": float(median), "p99": float(p99)}}
+    return figures.as_dict() | looks.as_dict() | {"control_us": {"median": float(median), "p99": float(p99)}}
+
+
+class Looks:
+    """Whether a steered robot moves as its gaits do."""
+
+    def __init__(self, gaits: GaitField) -> None:
+        self.robot, self.names = gaits.robot, {gait.name: gait.rows.shape[1] for gait in gaits.chain()}
+        self.style: list[float] = []
+        self.jerk_sq: dict[bool, list[Array]] = {True: [], False: []}  # after a change of gait, and not
+        self.states: list[str] = []
+        self.joints: list[Array] = []
+        self.feet: list[Array] = []
+
+    def add(self, session: LiveSession) -> None:
+        place = session.reference.place[0]
+        self.states.append(session.state)
+        self.joints.append(session.observation["joint_pos"].copy())
+        self.feet.append(place["feet"].copy())
+        self.feet[-1][:, :2] -= place["away"]  # both as good as level
+
+    def end(self) -> None:
+        """Adds an episode's periods, each in one gait, and the jerk of its joints."""
+        states, joints, feet = np.array(self.states), np.array(self.joints), np.array(self.feet)
+        is_, dt = foot_positions(self.robot, joints), 1.0 / RATE_HZ
+        jerk_sq = np.square(np.diff(joints, 3, axis=0) / dt**3)
+        changed = np.zeros(len(states), bool)
+        for k in np.flatnonzero(states[1:] != states[:-1]) + 1:
+            if states[k] in self.names and states[k - 1] in self.names:
+                changed[k : k + round(CHANGE_S / dt)] = True
+        begin = 0
+        while begin < len(states):
+            n = self.names.get(states[begin], 0)
+            if n and (states[begin : begin + n] == states[begin]).all() and begin + n <= len(states):
+                self.style.append(style_distance(is_[begin : begin + n], feet[begin : begin + n]))
+                begin += n
+            else:
+                begin += 1
+        strides = np.isin(states, list(self.names))[3:]
+        for after in (True, False):
+            self.jerk_sq[after].append(jerk_sq[strides & (changed[3:] == after)].ravel())
+        self.states, self.joints, self.feet = [], [], []
+
+    def as_dict(self) -> dict[str, Any]:
+        after, others = (float(np.mean(np.concatenate(self.jerk_sq[which]))) for which in (True, False))
+        return {
+            "style_distance": float(np.median(self.style)),
+            "jerk_at_changes": math.sqrt(after / others) if others else math.nan,
+        }
 
 
 def commands(rng: np.random.Generator, forwards: float) -> Callable[[float], Array]:
