@@ -139,7 +139,11 @@ class TestEarlyTakeOff:
         leg = Leg(stance=True, asked=0.09 * WEIGHT)
         leg.run(0.2, wanted=True, force=LOADED)
         assert leg.time_to_switch(wanted=True, force=FREE) == np.inf
-        leg.memory["force"][0, leg.INDEX, 2] = 0.1 * WEIGHT
+        leg.memory["roughness"] = 0.02  # m
+        assert leg.time_to_switch(wanted=True, force=FREE) == pytest.approx(0.04)
+
+        leg = Leg(stance=True, asked=0.1 * WEIGHT)
+        leg.run(0.2, wanted=True, force=LOADED)
         assert leg.time_to_switch(wanted=True, force=FREE) == pytest.approx(0.04)
 
     def test_a_leg_without_load_for_40_ms_swings(self) -> None:

@@ -1,9 +1,10 @@
 """Stance: which legs stand (paper, §III-B1), and the forces that accelerate the body (eq. 1; Di Carlo et al. 2018).
 
 The gait planner is a state machine per leg over contact schedule and measured contact. A leg leaves stance when the
-schedule says so (take-off), or when it bears nothing for a while in scheduled stance, though it is asked to (early
-take-off). It enters stance when the schedule says so (touch-down), or when it meets the ground late in a scheduled
-swing (early touch-down). Two switches of a leg are at least `min_switch_time` apart.
+schedule says so (take-off), or when it bears nothing for a while in scheduled stance, though it is asked to or the
+ground is rough, where it may have missed it (early take-off). It enters stance when the schedule says so (touch-down),
+or when it meets the ground late in a scheduled swing (early touch-down). Two switches of a leg are at least
+`min_switch_time` apart.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined, kernel
+from fastmimic.control.footing import SMALL_HEIGHT_M
 from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
 
 MAX_VARIABLES = 12
@@ -38,7 +40,8 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold
     memory.unloaded_time[leg] = memory.unloaded_time[leg] + config.dt if free else 0.0
-    missed = free and memory.force[leg, 2] >= config.early_takeoff_force
+    asked = memory.force[leg, 2] >= config.early_takeoff_force or memory.roughness > SMALL_HEIGHT_M
+    missed = free and asked
     memory.missed_time[leg] = memory.missed_time[leg] + config.dt if missed else 0.0
     if config.planner_full == 0:
         stood = memory.stance[leg] == 1

@@ -15,7 +15,7 @@ from fastmimic.steering.gait import LANDED
 _ACCELERATION: Final = (2.0, 1.5, 6.0)  # forwards and sideways, m/s², and turning, rad/s²
 _STRETCHED: Final = 0.85  # share of the acceleration forwards that is left out near a gait's top speed
 _JERK_S: Final = 0.12  # until the acceleration is that great
-_SETTLE_S: Final = 0.25  # time constant of the last approach to the wanted velocity
+_SETTLE_S: Final = 0.15  # time constant of the last approach to the wanted velocity
 _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is below that can stand
 _STAND_S: Final = 0.15  # between a gait and standing
 _CENTRED_S: Final = 0.3  # time constant with which a standing trunk moves to the middle of its feet

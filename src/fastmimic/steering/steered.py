@@ -23,8 +23,8 @@ from fastmimic.steering.gait import LANDED, SPARE, Gait
 from fastmimic.steering.gait_field import RATE_HZ, GaitField, Passage
 from fastmimic.steering.mixture import FEET, MIXTURE, ROLL, STEERED, advance, fill, mix, put
 
-_CALM: Final = (0.03, 0.03, 0.05)  # m/s, m/s, rad/s: near enough to the velocity at which a passage begins
-_CALM_RATE: Final = (0.3, 0.3, 0.6)  # and its rate, 1/s
+_CALM: Final = (0.1, 0.05, 0.1)  # m/s, m/s, rad/s: near enough to the velocity at which a passage begins
+_CALM_RATE: Final = (1.0, 0.5, 1.0)  # and its rate, 1/s
 _LATE: Final = 5  # rows by which a passage may begin later
 
 
