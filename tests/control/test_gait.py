@@ -139,7 +139,7 @@ class TestEarlyTakeOff:
         leg = Leg(stance=True, asked=0.09 * WEIGHT)
         leg.run(0.2, wanted=True, force=LOADED)
         assert leg.time_to_switch(wanted=True, force=FREE) == np.inf
-        leg.memory["roughness"] = 0.02  # m
+        leg.memory["roughness"] = 0.03  # m
         assert leg.time_to_switch(wanted=True, force=FREE) == pytest.approx(0.04)
 
         leg = Leg(stance=True, asked=0.1 * WEIGHT)

@@ -40,7 +40,7 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
     memory.since_switch[leg] += config.dt
     free = force_z < config.release_threshold
     memory.unloaded_time[leg] = memory.unloaded_time[leg] + config.dt if free else 0.0
-    asked = memory.force[leg, 2] >= config.early_takeoff_force or memory.roughness > SMALL_HEIGHT_M
+    asked = memory.force[leg, 2] >= config.early_takeoff_force or memory.roughness > 2 * SMALL_HEIGHT_M
     missed = free and asked
     memory.missed_time[leg] = memory.missed_time[leg] + config.dt if missed else 0.0
     if config.planner_full == 0:
