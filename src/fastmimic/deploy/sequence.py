@@ -40,7 +40,7 @@ LEAST_S: Final = 1.0  # of a passage with room for a stride at either end
 _STRIDES_S: Final = (0.3, 1.5)  # shortest and longest stride
 _NEARLY: Final = 1.3
 _RESTS_S: Final = 0.2  # standing on all feet for so long is rest
-_STANDS_S: Final = 0.5  # after it was steered, before it sits down
+_STANDS_S: Final = 0.8  # after it was steered, before it sits down: its trunk comes over the middle of its feet
 
 
 @dataclass(frozen=True, eq=False)
