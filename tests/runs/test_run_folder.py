@@ -6,7 +6,9 @@ import sys
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from fastmimic.base.errors import CheckpointError, ConfigError, OutputError
@@ -14,6 +16,7 @@ from fastmimic.base.files import write_json
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.imitation.imitate import imitate
 from fastmimic.imitation.methods import METHODS
+from fastmimic.optimize.parameters import Parameter
 from fastmimic.render.tracks import AnimalTrack, Track
 from fastmimic.report.figures import write_video
 from fastmimic.runs.loading import load_motion
@@ -125,6 +128,18 @@ def test_refusals(tmp_path: Path, resume: bool, overwrite: bool, error: type[Exc
         open_run(tmp_path, CONFIG, CONFIG["arguments"], resume=resume, overwrite=overwrite),
     ):
         pytest.fail("the folder was opened")
+
+
+@pytest.mark.parametrize(("amplitude", "title"), [(1.0, "fitted"), (1.1, "optimised")])
+def test_the_video_says_when_a_search_has_gained_nothing(
+    amplitude: float, title: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: Any = {"history": object(), "parameters": (Parameter("FR_foot_z.amplitude", "1", 0.8, 1.2, 1.0),)}
+    result = replace(imitate("trot", method="mbc", duration_s=0.1), values=np.array([amplitude]), **searched)
+    shown: list[Track] = []
+    monkeypatch.setattr("fastmimic.report.figures.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
+    write_video(result, RunFolder(tmp_path))
+    assert shown[-1].title == f"with: executable, {title}"
 
 
 @pytest.mark.parametrize(

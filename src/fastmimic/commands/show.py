@@ -80,9 +80,8 @@ def put_result(
     metrics = result.metrics()
     executable = "kinematic" in metrics
     columns = {"kinematic": "kinematic", "before": "executable"} if executable else {"before": "as retargeted"}
-    nothing_gained = bool(metrics["parameters"]) and all(p["value"] == p["initial"] for p in metrics["parameters"])
     if result.history is not None:
-        columns |= {"after": "fitted" if nothing_gained else "optimised"}
+        columns |= {"after": "fitted" if result.nothing_gained else "optimised"}
     cells = [_column(metrics, column) for column in columns]
     rows = [(name, *(values[name] for values in cells)) for name in cells[0]]
     put(f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s")
@@ -91,7 +90,7 @@ def put_result(
     if metrics["evaluations"]:
         effort = f"{metrics['evaluations']} episodes in {metrics['iterations']} iterations, {effort}"
     put(effort)
-    if nothing_gained:
+    if result.nothing_gained:
         put("the search found nothing better: the result is the motion as fitted by DMPs")
     if video is not None:
         try:

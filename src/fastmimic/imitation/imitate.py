@@ -63,6 +63,12 @@ class Imitation:
         """The demonstration that scores the robot."""
         return self.motion.target
 
+    @property
+    def nothing_gained(self) -> bool:
+        """Whether the search found nothing better: the motion is the demonstration as fitted by DMPs."""
+        moved = (value != p.initial for p, value in zip(self.parameters, self.values, strict=True))
+        return len(self.parameters) > 0 and not any(moved)
+
     @cached_property
     def kinematic(self) -> Rollout | None:
         """The same episode with the animal's motion as retargeted; None where it was not made executable. Simulated

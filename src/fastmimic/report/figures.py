@@ -201,7 +201,8 @@ def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
         plain = "mbc" if method.learned or method.controller is not None else method.unoptimised.name
         tracks.append(track(kinematic, "without: the animal's motion as it is", plain))
     before = "not optimised" if result.motion.demonstration is None else "as its motions were optimised"
-    title = "optimised" if result.history is not None else before
+    searched = "fitted" if result.nothing_gained else "optimised"
+    title = searched if result.history is not None else before
     return [*tracks, track(result.after, title if kinematic is None else f"with: executable, {title}", result.method)]
 
 
