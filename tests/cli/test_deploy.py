@@ -7,6 +7,7 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from cli.running import Run
 from fastmimic.base.errors import DriverError
@@ -199,7 +200,10 @@ def test_bad_input_is_one_line(case: str, run: Run, in_folder: Path, monkeypatch
 
 def test_a_damaged_log_is_said_to_be_one(run: Run, in_folder: Path, deployed: Path) -> None:
     content = bytearray((deployed / "log.mcap").read_bytes())
-    content[len(content) // 2] ^= 1
+    summary = make_reader(io.BytesIO(content)).get_summary()
+    assert summary is not None
+    first = summary.chunk_indexes[0]
+    content[first.chunk_start_offset + first.chunk_length // 2] ^= 1
     Path("bad.mcap").write_bytes(content)
     for verb in ("evaluate", "identify", "view"):
         assert "bad.mcap: the log is damaged (crc validation failed in Chunk" in run(verb, "bad.mcap").error
