@@ -42,9 +42,9 @@ print(top(1.0), sum(top.stats.cache_hits.values()) if hasattr(top, "stats") else
 """
 
 
-def run(folder: Path) -> tuple[float, int]:
+def run(folder: Path, cache: Path | None = None) -> tuple[float, int]:
     """The result of the kernel at the top, and whether its code came from the cache, in a process of its own."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "NUMBA_DISABLE_JIT": "0"}
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache or folder / "cache"), "NUMBA_DISABLE_JIT": "0"}
     output = subprocess.run(
         [sys.executable, "top.py"], cwd=folder, env=environment, capture_output=True, text=True, check=True
     ).stdout.split()
@@ -60,6 +60,32 @@ def test_a_cached_kernel_is_compiled_anew_when_a_function_that_it_calls_changes(
     assert run(tmp_path) == (3.0, 1), "the second process finds the first one's code"
     (tmp_path / "callee.py").write_text(CALLEE.format(number=10))
     assert run(tmp_path) == (11.0, 0)
+
+
+CONSTANT = """
+from fastmimic.base.jit import kernel
+from known import NUMBER
+
+@kernel
+def top(x):
+    return NUMBER * x
+
+print(top(1.0), sum(top.stats.cache_hits.values()))
+"""
+
+
+@pytest.mark.slow
+def test_another_installation_of_the_same_code_finds_what_the_first_compiled(tmp_path: Path) -> None:
+    """And one in which a constant differs, in a file without any kernel, does not."""
+    for name, number in (("one", 2), ("same", 2), ("other", 3)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "known.py").write_text(f"NUMBER = {number}.0")
+        (tmp_path / name / "top.py").write_text(CONSTANT)
+    cache = tmp_path / "cache"
+    assert run(tmp_path / "one", cache) == (2.0, 0)
+    assert run(tmp_path / "same", cache) == (2.0, 1)
+    assert run(tmp_path / "other", cache) == (3.0, 0)
+    assert run(tmp_path / "one", cache) == (2.0, 1), "both are kept"
 
 
 PAIR = """

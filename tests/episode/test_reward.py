@@ -248,6 +248,17 @@ class TestCounting:
         np.testing.assert_array_equal(tally["swings"], 3)
         np.testing.assert_allclose(tally["clearance_sum"] / tally["swings"], 0.06, atol=1e-4)
 
+    def test_a_swing_in_which_the_episode_begins_has_no_clearance(self, robot: Robot) -> None:
+        """Its top may have been before."""
+        motion = gait(robot, lift=0.06)
+        swing = np.flatnonzero(~motion.contact[:, 0])
+        late = int(swing[-1]) - 3
+        scoring = Scoring(robot, motion, np.array([late]))
+        for step in range(motion.n_samples):
+            scoring.clocks["sample"] = (late + step) % motion.n_samples
+            scoring.score(scoring.reference())
+        assert (scoring.tallies["swings"][0, 0], scoring.tallies["stances"][0, 0]) == (0, 1)
+
     def test_foot_errors_are_squared_in_the_body_frame(self, robot: Robot, motion: Motion) -> None:
         scoring = Scoring(robot, motion, np.array([40]))
         found = disturbed(scoring.reference(), np.random.default_rng(3), 0.3)

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Final, TypeVar
 
 import msgspec
 import numpy as np
+import platformdirs
 from numpy.typing import NDArray
 
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
@@ -36,6 +37,11 @@ _Kind = TypeVar("_Kind")
 def packaged(room: str, name: str, kind: type[_Kind]) -> _Kind:
     """A table that a room keeps as a JSON file, such as `gaits.json` of `fastmimic.clips`, as typed records."""
     return msgspec.json.decode(resources.files(room).joinpath(name).read_bytes(), type=kind)
+
+
+def user_cache() -> Path:
+    """The folder in which this user's programs keep what they can make again, ours within it."""
+    return Path(platformdirs.user_cache_dir("fastmimic"))
 
 
 def replace_file(path: str | Path, write: Callable[[BinaryIO], Any]) -> None:

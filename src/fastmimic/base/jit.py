@@ -1,12 +1,19 @@
 """How kernels are compiled: cached, without the GIL, IEEE arithmetic."""
 
+import contextlib
 import functools
 import gc
+import hashlib
+import inspect
+import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+
+from fastmimic.base.files import user_cache
 
 
 def kernel(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
@@ -43,6 +50,7 @@ def _collect_no_garbage_meanwhile() -> None:
         kernels, resumes = 0, False  # being compiled, one calling the other; whether garbage was collected before
 
         def on_start(self, event: Any) -> None:
+            _forget_old()
             _compiled.append(event.data["dispatcher"].py_func.__name__)
             if self.kernels == 0:
                 self.resumes = gc.isenabled()
@@ -75,11 +83,59 @@ def depends_on(compiled: Callable[..., Any], *files: str) -> None:
     """Makes the cache of a kernel, and of those decorated later that call it, stale when one of `files` changes."""
     function: Any = getattr(compiled, "py_func", compiled)
     function.source_files = getattr(function, "source_files", frozenset()) | set(files)
-    cache_file = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if cache_file is not None:
-        stats = (Path(name).stat() for name in sorted(function.source_files))
-        cache_file._source_stamp = tuple((s.st_mtime, s.st_size) for s in stats)
-        cache_file._load_index = _tolerant(type(cache_file)._load_index, cache_file)
+    cache = getattr(compiled, "_cache", None)
+    if hasattr(cache, "_cache_file"):
+        known = b"".join([*sorted(map(_content, function.source_files)), *_constants(function)])
+        _keep(cache, hashlib.sha256(known).hexdigest())
+
+
+def _keep(cache: Any, digest: str) -> None:
+    """Keeps compiled code under what it was compiled from, whichever installation that is: in the user's cache folder,
+    or $NUMBA_CACHE_DIR; beside the modules, as Numba does, where neither can be written."""
+    from numba.core.caching import IndexDataCacheFile
+
+    folder = cache_folder()
+    cache._cache_path = cache.cache_path if folder is None else str(folder)
+    base = f"{cache._impl.filename_base}-{digest[:16]}"
+    cache._cache_file = file = IndexDataCacheFile(cache._cache_path, base, digest)
+    file._load_index = _tolerant(type(file)._load_index, file)  # type: ignore[method-assign]
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder of all compiled code, or None where it cannot be written."""
+    from numba import config
+
+    folder = Path(config.CACHE_DIR or user_cache()) / "compiled"  # type: ignore[attr-defined]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+@functools.cache
+def _forget_old() -> None:
+    """Removes code from the cache that was not used for two months."""
+    folder, before = cache_folder(), time.time() - 60 * 86400.0
+    for file in folder.iterdir() if folder is not None else ():
+        with contextlib.suppress(OSError):
+            stat = file.stat()
+            if max(stat.st_atime, stat.st_mtime) < before:
+                file.unlink()
+
+
+@functools.cache
+def _content(file: str) -> bytes:
+    return hashlib.sha256(Path(file).read_bytes()).digest()
+
+
+def _constants(function: Any) -> list[bytes]:
+    """The values that a function takes from its module and Numba compiles into it; other files may define them."""
+    names = sorted(set(function.__code__.co_names) & function.__globals__.keys())
+    values = [(name, function.__globals__[name]) for name in names]
+    plain = [(n, v) for n, v in values if not (callable(v) or inspect.ismodule(v))]
+    return [f"{n}={v.tolist() if isinstance(v, np.ndarray) else v!r};".encode() for n, v in plain]
 
 
 def _tolerant(load_index: Callable[[Any], dict[Any, str]], cache_file: Any) -> Callable[[], dict[Any, str]]:

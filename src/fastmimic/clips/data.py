@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from fastmimic.base.errors import DataError, OutputError
-from fastmimic.base.files import packaged, replace_file
+from fastmimic.base.files import packaged, replace_file, user_cache
 from fastmimic.base.registry import Registry
 
 DEFAULT_BASE_URL: Final = (
@@ -66,11 +66,7 @@ RECORDED: Final = _RECORDINGS.motions
 def data_folder(folder: str | Path | None = None) -> Path:
     """The data folder: `folder`, else $FASTMIMIC_DATA, else the user's cache folder."""
     chosen = folder or os.environ.get(FOLDER_VARIABLE)
-    if chosen:
-        return Path(chosen).expanduser()
-    import pooch
-
-    return Path(pooch.os_cache("fastmimic"))
+    return Path(chosen).expanduser() if chosen else user_cache()
 
 
 def list_datasets(folder: str | Path | None = None) -> list[tuple[Dataset, list[str]]]:

@@ -73,6 +73,7 @@ def reward_weights() -> Array:
 _HEIGHT_WEIGHT: Final = 3.0  # of the end-effector term's height, from the implementation the paper names
 MAX_DISTANCE: Final = 1.0  # m from the reference
 MAX_ANGLE: Final = np.pi / 2  # rad from the reference
+_NO_SWING, _WHOLE_SWING, _CUT_SWING = range(3)  # what a foot was in; the episode began in a swing that is cut
 
 TALLY: Final = record_dtype(
     [
@@ -211,19 +212,21 @@ def _score_feet(context: ScoringContext, ref: Any, obs: Any, truth: Any, tally: 
 def _count_foot(
     tally: Any, leg: int, wanted: bool, loaded: bool, height: float, x: float, y: float, roll_x: float, roll_y: float
 ) -> None:
-    """Swing clearance by the demonstration's schedule, and the sliding of loaded feet in scheduled stance."""
+    """Swing clearance by the demonstration's schedule, and the sliding of loaded feet in scheduled stance. A swing that
+    the episode's start cuts off does not count: its top may have been before."""
     if wanted:
-        if tally.was_swing[leg] == 1:
+        if tally.was_swing[leg] == _WHOLE_SWING:
             tally.clearance_sum[leg] += tally.peak[leg]
             tally.swings[leg] += 1
+        if tally.was_swing[leg] != _NO_SWING:
             tally.stances[leg] += 1
         if loaded and tally.steps > 0:
             tally.slip[leg] += np.hypot(x - tally.foot_xy[leg, 0] - roll_x, y - tally.foot_xy[leg, 1] - roll_y)
-        tally.was_swing[leg] = 0
+        tally.was_swing[leg] = _NO_SWING
     else:
-        if tally.was_swing[leg] == 0:
+        if tally.was_swing[leg] == _NO_SWING:
             tally.peak[leg] = height
-        tally.was_swing[leg] = 1
+            tally.was_swing[leg] = _WHOLE_SWING if tally.steps > 0 else _CUT_SWING
         tally.peak[leg] = max(tally.peak[leg], height)
     tally.foot_xy[leg, 0], tally.foot_xy[leg, 1] = x, y
 

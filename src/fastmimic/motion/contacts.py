@@ -130,13 +130,13 @@ def swung(contact: Flags, periodic: bool) -> Array:
 
 def swing_tops(contact: Flags, height: Array, periodic: bool) -> list[tuple[int, float]]:
     """Touch-down sample and greatest height, m, of each swing of one foot with contact (n,) and height (n,). Without
-    `periodic`, a swing that the end cuts off does not count."""
+    `periodic`, swings that the ends cut off do not count."""
     first = int(contact.argmax()) if periodic else 0  # starts in a stance, so that no swing is cut in two
     swings = stances_of(np.roll(~contact, -first), periodic=False)
     rolled = np.roll(height, -first)
     if not contact.any():
         return []
-    return [(b + first, float(rolled[a:b].max())) for a, b in swings if periodic or b < len(contact)]
+    return [(b + first, float(rolled[a:b].max())) for a, b in swings if periodic or (a > 0 and b < len(contact))]
 
 
 def _hysteresis(series: Array, config: ContactConfig, periodic: bool) -> Flags:
