@@ -92,9 +92,10 @@ def walked(robot: Robot, motion: Motion, conditions: Conditions, seconds: float,
 
 
 def way(done: Rollout, motion: Motion, episode: int) -> float:
-    """Way of a robot until its fall, m: from where it is at the start of a cycle to where it is at the next one."""
+    """Way of a robot until its fall, m: from where it is at the start of a cycle to where it is at the next one, and at
+    the end."""
     path = done.course.observation["root_pos"][episode, : done.steps[episode], :2]
-    marks = path[:: motion.n_samples]
+    marks = np.concatenate([path[:: motion.n_samples], path[-1:]])
     return float(np.linalg.norm(np.diff(marks, axis=0), axis=1).sum())
 
 

@@ -68,6 +68,10 @@ from known import NUMBER
 
 @kernel
 def top(x):
+    return below(x)
+
+@kernel
+def below(x):
     return NUMBER * x
 
 print(top(1.0), sum(top.stats.cache_hits.values()))

@@ -1,10 +1,10 @@
 """How kernels are compiled: cached, without the GIL, IEEE arithmetic."""
 
 import contextlib
+import enum
 import functools
 import gc
 import hashlib
-import inspect
 import os
 import time
 from collections.abc import Callable
@@ -79,14 +79,14 @@ floats: Final = functools.partial(_fields, "f8")  # of real numbers
 integers: Final = functools.partial(_fields, "i8")  # of whole numbers
 
 
-def depends_on(compiled: Callable[..., Any], *files: str) -> None:
-    """Makes the cache of a kernel, and of those decorated later that call it, stale when one of `files` changes."""
+def depends_on(compiled: Callable[..., Any], *files: str, made_of: frozenset[bytes] = frozenset()) -> None:
+    """Makes the cache of a kernel, and of those decorated later that call it, stale when one of `files` changes, or one
+    of the parts that it is `made_of`."""
     function: Any = getattr(compiled, "py_func", compiled)
-    function.source_files = getattr(function, "source_files", frozenset()) | set(files)
+    function.made_of = getattr(function, "made_of", frozenset()) | made_of | {_content(file) for file in files}
     cache = getattr(compiled, "_cache", None)
     if hasattr(cache, "_cache_file"):
-        known = b"".join([*sorted(map(_content, function.source_files)), *_constants(function)])
-        _keep(cache, hashlib.sha256(known).hexdigest())
+        _keep(cache, hashlib.sha256(b"".join(sorted(function.made_of))).hexdigest())
 
 
 def _keep(cache: Any, digest: str) -> None:
@@ -130,12 +130,13 @@ def _content(file: str) -> bytes:
     return hashlib.sha256(Path(file).read_bytes()).digest()
 
 
-def _constants(function: Any) -> list[bytes]:
-    """The values that a function takes from its module and Numba compiles into it; other files may define them."""
-    names = sorted(set(function.__code__.co_names) & function.__globals__.keys())
-    values = [(name, function.__globals__[name]) for name in names]
-    plain = [(n, v) for n, v in values if not (callable(v) or inspect.ismodule(v))]
-    return [f"{n}={v.tolist() if isinstance(v, np.ndarray) else v!r};".encode() for n, v in plain]
+def _constants(names: dict[str, Any]) -> frozenset[bytes]:
+    """The values among a module's names that Numba may compile into its functions; other files may define them."""
+    found = ((name, value) for name, value in names.items() if isinstance(value, _FROZEN) and not name.startswith("__"))
+    return frozenset(f"{n}={v.tolist() if isinstance(v, np.ndarray) else v!r};".encode() for n, v in found)
+
+
+_FROZEN: Final = (int, float, complex, str, tuple, np.ndarray, np.generic, enum.Enum)
 
 
 def _tolerant(load_index: Callable[[Any], dict[Any, str]], cache_file: Any) -> Callable[[], dict[Any, str]]:
@@ -155,6 +156,6 @@ def _stale_with_callees(compiled: Callable[..., Any]) -> Callable[..., Any]:
     kernels that the module knows by now count as called, because later kernels of the module may call them."""
     function = getattr(compiled, "py_func", compiled)
     known = (getattr(value, "py_func", value) for value in function.__globals__.values() if callable(value))
-    files = frozenset({function.__code__.co_filename, __file__}).union(*(getattr(f, "source_files", ()) for f in known))
-    depends_on(compiled, *files)
+    made_of = _constants(function.__globals__).union(*(getattr(f, "made_of", ()) for f in known))
+    depends_on(compiled, function.__code__.co_filename, __file__, made_of=made_of)
     return compiled
