@@ -120,6 +120,23 @@ class TestSearch:
         assert optimum.history.best[-1] > optimum.history.best[0]
         assert optimum.history.sigma[-1] < optimum.history.sigma[0]
 
+    @pytest.mark.parametrize(("score", "share"), [(0.89, 1.0), (0.91, 0.25)])
+    def test_looks_near_a_motion_that_is_tracked_as_it_is(
+        self, score: float, share: float, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        problem, asked = Bowl(), list[np.ndarray]()
+        span = problem.bounds[1] - problem.bounds[0]
+
+        def evaluate(x: np.ndarray) -> np.ndarray:
+            asked.append((x - problem.initial) / span)
+            return np.full(len(x), score)
+
+        monkeypatch.setattr(problem, "evaluate", evaluate)
+        monkeypatch.setattr(problem, "initial", problem.bounds[0] + 0.5 * span)
+        monkeypatch.setattr(problem, "start", problem.initial)
+        optimize(problem, replace(SETTINGS, iterations=1, population=200))  # type: ignore[arg-type]
+        assert np.std(asked[1]) == pytest.approx(0.2 * share, rel=0.1)
+
     def test_ends_when_the_best_scores_have_settled(self) -> None:
         """With the bits of a search of as many iterations; a given number is run in any case."""
         problem, told = Bowl(), list[Progress]()

@@ -26,6 +26,7 @@ from fastmimic.optimize.problem import Problem
 
 MOST_ITERATIONS: Final = 200
 _SETTLED: Final = (20, 5e-4)  # iterations whose best scores differ by less: nothing more is to be gained
+_TRACKED: Final = (0.9, 0.25)  # score from which a motion counts as tracked, and the share of the step size for it
 _VERSION: Final = 1
 
 
@@ -75,7 +76,8 @@ class CmaSettings:
     iterations: int | None = None
     population: int = parameter(10, low=4)
     seed: int = parameter(0)
-    step_size: float = parameter(0.2, above=0.0, high=1.0)  # initial deviation, share of each parameter's range
+    step_size: float = parameter(0.2, above=0.0, high=1.0)  # initial deviation, share of each parameter's range; of a
+    # motion that the robot tracks as it is, a quarter of that: what is better is near
     choice: FinalChoice = FinalChoice()
     checkpoint_every: int = 5  # iterations
 
@@ -168,12 +170,18 @@ def _is_better(gains: Array) -> bool:
     return bool(gains.mean() > 2 * error)
 
 
+def _step_size(settings: CmaSettings, start: float) -> float:
+    """The initial deviation of a search that begins at a score."""
+    tracked, share = _TRACKED
+    return settings.step_size * (share if start >= tracked else 1.0)
+
+
 class _Search:
     def __init__(self, problem: Problem, settings: CmaSettings, checkpoint: Path | None) -> None:
         self.problem, self.settings, self.checkpoint = problem, settings, checkpoint
         self.lower, upper = problem.bounds
         self.span = upper - self.lower
-        self.strategy = _make_strategy((problem.start - self.lower) / self.span, settings)
+        self.strategy: Any = None
         start, initial = self.problem.start, self.problem.initial
         self.given = initial[None] if np.array_equal(start, initial) else np.stack([initial, start])
         self.candidates: list[Array] = []
@@ -185,9 +193,11 @@ class _Search:
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
 
     def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
+        given = self.problem.evaluate(self.given)
+        first = (self.problem.start - self.lower) / self.span
+        self.strategy = _make_strategy(first, _step_size(self.settings, float(given.max())), self.settings)
         before = self._replay() if resume else 0.0
         began, done_before = time.perf_counter(), len(self.scores)
-        given = self.problem.evaluate(self.given)
         interrupted = False
         try:
             while len(self.scores) < self.limit and not self._settled():
@@ -303,7 +313,7 @@ def _pycma() -> Any:
     return cma
 
 
-def _make_strategy(start: Array, settings: CmaSettings) -> Any:
+def _make_strategy(start: Array, step_size: float, settings: CmaSettings) -> Any:
     rng = np.random.default_rng([settings.seed, 0])
     options = {
         "bounds": [0.0, 1.0],
@@ -317,4 +327,4 @@ def _make_strategy(start: Array, settings: CmaSettings) -> Any:
         "tolflatfitness": np.inf,
         "tolstagnation": np.inf,
     }
-    return _pycma().CMAEvolutionStrategy(start, settings.step_size, options)
+    return _pycma().CMAEvolutionStrategy(start, step_size, options)
