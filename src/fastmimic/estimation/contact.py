@@ -29,6 +29,7 @@ _PRIOR: Final = np.array([1e4, 0.0, 10.0])  # for α = β = 0: sums of q̈², q�
 _LEARNT: Final = 10.0  # times the prior; before, the loads of swinging legs are not believed
 _MOST_NOISE: Final = 9.0  # a squared load in mid-swing counts at most as this many times the mean so far
 _TOUCHES: Final = 0.1  # N; told of a foot that touches the ground but bears next to nothing
+_LEAST_SENSOR_NOISE: Final = 0.25  # squared, of a believed sensor, as a share of the torques'
 _KEEP, _DROP = 0.7, 0.5  # squared correlation at which a foot sensor is believed, and no more
 
 CONTACT_STATE: Final = [
@@ -151,13 +152,17 @@ def _judge_sensor(config: Any, state: Any, leg: int) -> None:
 @inlined
 def _fuse_contact(config: Any, state: Any, leg: int, rate: Any, height: float, planned: bool) -> None:
     """One foot's contact from its load, its `height` over the ground, m, and whether it is scheduled to stand; `rate`
-    (3,) are the joints' accelerations, rad/s²: what moves a leg in haste is no load."""
-    hasty = config.load_rate_noise * max(abs(rate[0]), abs(rate[1]), abs(rate[2]))
-    load, noise = state.load[leg], np.sqrt(state.noise[leg] + hasty * hasty)
+    (3,) are the joints' accelerations, rad/s²: what moves a leg in haste is no load, and its sensor is then told from
+    it. Loads by torques and by a believed sensor count by the inverse of their squared errors."""
+    hasty, usual = config.load_rate_noise * max(abs(rate[0]), abs(rate[1]), abs(rate[2])), state.noise[leg]
+    load, noise = state.load[leg], usual + hasty * hasty
     if state.believed[leg] == 1:
         m = state.moments[leg]
-        share = state.noise[leg] / (state.noise[leg] + m[2] - m[4] * m[4] / m[3])  # by the regression's residual
+        own = max(m[2] - m[4] * m[4] / m[3] - usual, _LEAST_SENSOR_NOISE * usual)  # the rest of what the line leaves
+        share = noise / (noise + own)
         load += share * (m[0] + (state.filtered[leg] - m[1]) * m[2] / m[4] - load)
+        noise = max(share * own, usual)
+    noise = np.sqrt(noise)
     lifted = 0.0 < state.swing_time[leg] < config.latency + _SETTLED * config.torque_time
     if lifted or (not planned and state.swing_sums[0] < _LEARNT * _PRIOR[0]):
         load = 0.0  # what is felt is from before the leg was lifted, or what moves it
