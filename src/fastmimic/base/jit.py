@@ -130,13 +130,18 @@ def _content(file: str) -> bytes:
     return hashlib.sha256(Path(file).read_bytes()).digest()
 
 
+_FROZEN: Final = (int, float, complex, str, tuple, np.ndarray, np.generic, enum.Enum)
+
+
 def _constants(names: dict[str, Any]) -> frozenset[bytes]:
     """The values among a module's names that Numba may compile into its functions; other files may define them."""
     found = ((name, value) for name, value in names.items() if isinstance(value, _FROZEN) and not name.startswith("__"))
-    return frozenset(f"{n}={v.tolist() if isinstance(v, np.ndarray) else v!r};".encode() for n, v in found)
-
-
-_FROZEN: Final = (int, float, complex, str, tuple, np.ndarray, np.generic, enum.Enum)
+    return frozenset(
+        f"{name}={value.dtype}{value.shape}".encode() + value.tobytes()
+        if isinstance(value, np.ndarray)
+        else f"{name}={value!r}".encode()
+        for name, value in found
+    )
 
 
 def _tolerant(load_index: Callable[[Any], dict[Any, str]], cache_file: Any) -> Callable[[], dict[Any, str]]:

@@ -71,13 +71,13 @@ class Checkpoint:
 @dataclass(frozen=True)
 class CmaSettings:
     """Settings of the optimiser. `iterations` are as many, or with None at the most 200: the search ends when its best
-    scores have settled, as by the criterion TolFun of Hansen 2023, "The CMA evolution strategy: a tutorial", B.3."""
+    scores have settled, as by the criterion TolFun of Hansen 2023, "The CMA evolution strategy: a tutorial", B.3. From
+    a motion that the robot tracks as it is, the search begins at a quarter of `step_size`: what is better is near."""
 
     iterations: int | None = None
     population: int = parameter(10, low=4)
     seed: int = parameter(0)
-    step_size: float = parameter(0.2, above=0.0, high=1.0)  # initial deviation, share of each parameter's range; of a
-    # motion that the robot tracks as it is, a quarter of that: what is better is near
+    step_size: float = parameter(0.2, above=0.0, high=1.0)  # initial deviation, share of each parameter's range
     choice: FinalChoice = FinalChoice()
     checkpoint_every: int = 5  # iterations
 
@@ -193,11 +193,13 @@ class _Search:
         self.identity = hashlib.sha256(f"{problem.identity}{own}".encode()).hexdigest()
 
     def run(self, resume: bool, progress: Callable[[Progress], None] | None) -> Optimum:
+        saved = self._saved() if resume else None
+        began = time.perf_counter()
         given = self.problem.evaluate(self.given)
         first = (self.problem.start - self.lower) / self.span
         self.strategy = _make_strategy(first, _step_size(self.settings, float(given.max())), self.settings)
-        before = self._replay() if resume else 0.0
-        began, done_before = time.perf_counter(), len(self.scores)
+        before = self._replay(saved) if saved is not None else 0.0
+        done_before = len(self.scores)
         interrupted = False
         try:
             while len(self.scores) < self.limit and not self._settled():
@@ -248,10 +250,12 @@ class _Search:
         self.scores.append(scores)
         self.sigma.append(float(self.strategy.sigma))
 
-    def _replay(self) -> float:
+    def _saved(self) -> Checkpoint:
         if self.checkpoint is None:
             raise CheckpointError("nothing to resume from: the checkpoint's file was not given")
-        saved = Checkpoint.load(self.checkpoint, self.identity)
+        return Checkpoint.load(self.checkpoint, self.identity)
+
+    def _replay(self, saved: Checkpoint) -> float:
         self.recorded = len(saved.scores)
         for u, scores in zip(saved.candidates, saved.scores, strict=True):
             if len(self.scores) == self.limit:
