@@ -207,6 +207,8 @@ class TestRefusals:
         [
             (("--format", "bvh", "--out", "x.bvh"), "unknown format 'bvh'"),
             (("--format", "mjlab", "--out", "x.csv"), "must end in .npz"),
+            (("--format", "mjlab", "--out", "."), "must end in .npz"),
+            (("--format", "mjlab", "--out", ".."), "must end in .npz"),
             (("--format", "csv", "--out", "x.csv", "--rate", "1000"), "fps must be above 0 and at most"),
         ],
     )

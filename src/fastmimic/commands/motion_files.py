@@ -337,7 +337,8 @@ class Export:
             if self.episodes is not None:
                 raise ConfigError(f"--episodes is for the format {LEROBOT}; {self.format} has the motion itself")
             endings = (".txt", ".json") if EXPORTS[self.format] == ".txt" else (EXPORTS[self.format],)
-            out = opt.check_writable(out if out.suffix else out.with_name(out.name + endings[0]), *endings)
+            bare = not out.suffix and out.name not in ("", "..")  # a file's name, and no folder such as "."
+            out = opt.check_writable(out.with_name(out.name + endings[0]) if bare else out, *endings)
         opt.check_duration(self.duration)
         robot, motion = self.clip.load(self.motion, self.robot)
         if self.format == LEROBOT:
