@@ -14,7 +14,7 @@ from fastmimic.base.errors import RobotError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.export import export_motion
 from fastmimic.retargeting.retarget import retarget
-from fastmimic.robot import ROBOT_NAMES, load_robot
+from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.robot.kinematics import foot_jacobians, foot_positions
 from robot.mjcf import (
     Simulated,
@@ -375,3 +375,9 @@ def test_a_file_that_is_no_quadruped_is_refused_in_one_line(content: bytes, tmp_
 def test_a_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match="expected one URDF in this folder, found none"):
         load_robot(tmp_path)
+
+
+def test_what_tells_robots_apart_does_not_depend_on_how_numbers_are_printed(robot: Robot) -> None:
+    said = robot.said
+    with np.printoptions(precision=2, suppress=True, linewidth=200, threshold=5, sign="+"):
+        assert robot.said == said
