@@ -265,12 +265,7 @@ class Viewer(WebPage):
     to try. Raises `ConfigError` if viser is not installed, or no port is free."""
 
     def __init__(
-        self,
-        robot: Robot,
-        shown: Sequence[Sequence[Take]],
-        heading: str,
-        port: int = DEFAULT_PORT,
-        animal: Animal | None = None,
+        self, robot: Robot, shown: Sequence[Sequence[Take]], heading: str, port: int, animal: Animal | None = None
     ) -> None:
         super().__init__(port)
         self._shown = [tuple(takes) for takes in shown]
