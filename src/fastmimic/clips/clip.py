@@ -26,20 +26,11 @@ KEYPOINTS: Final = Skeleton(
 """Of the ten points of `POINT_NAMES`: trunk, girdles, and a straight line for each leg."""
 
 
-@dataclass(frozen=True)
-class _Markers:
-    """The dog's points: how many, which of them are the ten, and its bones, part by part, with radii."""
-
-    points: int
-    keypoints: dict[str, int]
-    bones: dict[str, list[tuple[int, int, float]]]
-
-
-_DOG: Final = packaged("fastmimic.clips", "dog.json", _Markers)
-_BONES: Final = [bone for part in _DOG.bones.values() for bone in part]
-DOG: Final = Skeleton(_DOG.points, tuple((a, b) for a, b, _ in _BONES), tuple(radius for *_, radius in _BONES))
+_DOG: Final = packaged("fastmimic.clips", "dog.json", dict[str, Any])
+_BONES: Final = [bone for part in _DOG["bones"].values() for bone in part]
+DOG: Final = Skeleton(_DOG["points"], tuple((a, b) for a, b, _ in _BONES), tuple(radius for *_, radius in _BONES))
 """Of the 27 points of the dog recordings: spine with head, four legs with their joints, tail."""
-DOG_KEYPOINTS: Final = _DOG.keypoints
+DOG_KEYPOINTS: Final[dict[str, int]] = _DOG["keypoints"]
 """Indices of the ten among them; left and right follow from the points' positions (up × forward)."""
 
 POINT_NAMES: Final = ("pelvis", "neck", *(f"{leg}_hip" for leg in LEGS), *(f"{leg}_toe" for leg in LEGS))

@@ -52,15 +52,8 @@ class RecordedMotion:
         return f"{self.dataset}/{self.file}{cut}"
 
 
-@dataclass(frozen=True)
-class _Recordings:
-    datasets: tuple[Dataset, ...]
-    motions: dict[str, RecordedMotion]
-
-
-_RECORDINGS: Final = packaged("fastmimic.clips", "recordings.json", _Recordings)
-DATASETS: Final = Registry("dataset", _RECORDINGS.datasets, error=DataError)
-RECORDED: Final = _RECORDINGS.motions
+DATASETS: Final = Registry("dataset", packaged("fastmimic.clips", "datasets.json", list[Dataset]), error=DataError)
+RECORDED: Final = packaged("fastmimic.clips", "recordings.json", dict[str, RecordedMotion])
 
 
 def data_folder(folder: str | Path | None = None) -> Path:

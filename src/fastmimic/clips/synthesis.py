@@ -59,16 +59,14 @@ GAITS: Final = packaged("fastmimic.clips", "gaits.json", dict[str, GaitSpec])
 _RANGES: Final = {"speed": (-2.5, 2.5, "m/s"), "yaw_rate": (-4.0, 4.0, "rad/s"), "duty": (0.3, 0.85, "of the period")}
 
 
-def gait(name: str, **changes: float | None) -> GaitSpec:
-    """A built-in gait with some of its parameters replaced, those that are not None: `speed`, m/s at the A1's size, is
-    along the gait's own direction (sideways for a side-step); `yaw_rate`, rad/s, is positive to the left; `duty` is the
-    share of the period in stance. Raises `ConfigError`: no such gait, or a value out of range."""
+def gait(name: str, **changes: float) -> GaitSpec:
+    """A built-in gait with some of its parameters replaced: `speed`, m/s at the A1's size, is along the gait's own
+    direction (sideways for a side-step); `yaw_rate`, rad/s, is positive to the left; `duty` is the share of the period
+    in stance. Raises `ConfigError`: no such gait, or a value out of range."""
     if name not in GAITS:
         raise unknown("gait", name, GAITS)
     spec = GAITS[name]
     for what, value in changes.items():
-        if value is None:
-            continue
         low, high, unit = _RANGES[what]
         if not low <= value <= high:
             raise ConfigError(f"{what} must be between {low:g} and {high:g} {unit}, found {value}")
@@ -79,10 +77,10 @@ def gait(name: str, **changes: float | None) -> GaitSpec:
 
 
 def generate(name: str, **changes: float | None) -> Clip:
-    """One cycle of a built-in gait as an animal's keypoints; for the arguments and errors see `gait`."""
-    spec = gait(name, **changes)
+    """One cycle of a built-in gait as an animal's keypoints; for the errors, and the changes that are not None, see
+    `gait`."""
     given = {what: value for what, value in changes.items() if value is not None}
-    return keypoints(spec, built_in(name, given))
+    return keypoints(gait(name, **given), built_in(name, given))
 
 
 def built_in(name: str, parameters: dict[str, float] | None = None) -> dict[str, object]:

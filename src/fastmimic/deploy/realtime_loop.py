@@ -142,14 +142,12 @@ class Loop:
 
     def _period(self) -> Violation | None:
         clock, machine = self.clock, self.machine
-        fresh = self._read()
-        read = clock.now()
-        violation = self._guard.check_number(StopReason.STALE_STATE, read - self._state.received)
-        if violation is not None and self._late > self._dt:
-            # this computer paused: a newer state may be about to be delivered
-            fresh = self._read(self._dt)
+        for wait_s in (0.0, self._dt):
+            fresh = self._read(wait_s)
             read = clock.now()
             violation = self._guard.check_number(StopReason.STALE_STATE, read - self._state.received)
+            if violation is None or self._late <= self._dt:
+                break  # else this computer paused: a newer state may be about to be delivered
         state = self._state
         phase, command = machine.phase, self._damping
         if violation is None:

@@ -17,7 +17,7 @@ from fastmimic.steering.commands import Commands
 from fastmimic.viewer.bodies import Puppet
 from fastmimic.viewer.scene import RobotScene
 from fastmimic.viewer.take import TRAIL_POINTS, TRAIL_S, Take
-from fastmimic.viewer.viewer import DEFAULT_PORT, FRAMES_PER_S, IDLE_S, Cameras, WebPage
+from fastmimic.viewer.viewer import FRAMES_PER_S, IDLE_S, Cameras, WebPage
 
 if TYPE_CHECKING:
     import viser
@@ -192,9 +192,7 @@ class PlayPage(WebPage):
     """Plays a live session in this machine's browsers, on the first free port from `port` on, steered by `commands`,
     too, if there are any; raises as `WebPage`."""
 
-    def __init__(
-        self, session: LiveSession, heading: str, port: int = DEFAULT_PORT, commands: Commands | None = None
-    ) -> None:
+    def __init__(self, session: LiveSession, heading: str, port: int, commands: Commands | None = None) -> None:
         super().__init__(port)
         self.session = session
         self.pacer = Pacer(session, commands)

@@ -6,7 +6,7 @@ matplotlib's object interface is used: no pyplot, no rcParams.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -56,15 +56,17 @@ def new_figure(width: float, height: float, title: str, below: float | None = No
     return figure
 
 
-def tidy(axes: Axes, title: str = "", xlabel: str = "", ylabel: str = "") -> None:
-    """Gives `axes` the common look: no box, a light grid, labels with their units."""
+def tidy(
+    axes: Axes, title: str = "", xlabel: str = "", ylabel: str = "", grid: Literal["both", "x", "y"] = "both"
+) -> None:
+    """Gives `axes` the common look: no box, a light grid across an axis or both, labels with their units."""
     axes.set_title(title, loc="left", fontsize=10, color=INK)
     axes.set_xlabel(xlabel, fontsize=9, color=MUTED)
     axes.set_ylabel(ylabel, fontsize=9, color=MUTED)
     axes.tick_params(labelsize=8, color=MUTED, labelcolor=INK, length=3)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color("#bbbbbb")
-    axes.grid(True, color="#e3e3e3", linewidth=0.6)
+    axes.grid(True, axis=grid, color="#e3e3e3", linewidth=0.6)
     axes.set_axisbelow(True)
 
 

@@ -20,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from fastmimic.render.video_scene import GHOST_RGBA
+
 _Rgb = tuple[float, float, float]  # 0 to 1
 _Text = tuple[str, ImageFont.FreeTypeFont, tuple[int, int, int, int]]  # with its colour
 _LOG = logging.getLogger(__name__)
@@ -117,22 +119,13 @@ def _open(model: mujoco.MjModel, width: int, height: int) -> tuple[Any, Any]:
 
 class Overlay:
     """Text that stays the same for the whole video, blended onto each frame, and a clock. Each of the `panels`, in so
-    many `columns`, has a title and a caption. `legend` is the colour (r, g, b, 0 to 1) and name of the translucent
-    robot, `speed_note` such as "slow motion × 0.25" stands with the clock."""
+    many `columns`, has a title and a caption. `ghost` says whether there is a translucent robot to be named, `clock`
+    what stands after the time, such as "slow motion 1 : 4"; None for no clock."""
 
     def __init__(
-        self,
-        width: int,
-        height: int,
-        panels: Sequence[tuple[str, str]],
-        legend: tuple[_Rgb, str] | None,
-        speed_note: str,
-        *,
-        columns: int,
-        clock: bool,
+        self, size: tuple[int, int], panels: Sequence[tuple[str, str]], columns: int, *, ghost: bool, clock: str | None
     ) -> None:
-        self._note = f"   {speed_note}" if speed_note else ""
-        self._clock = clock
+        (width, height), self._clock = size, clock
         cells = grid_cells(len(panels), width, height, columns)
         self._unit = _unit(width, height, cells[0][3])
         margin = round(18 * self._unit)
@@ -141,10 +134,9 @@ class Overlay:
             plate = _text_plate(title, caption, self._unit, right - left - 2 * margin)
             if plate is not None:
                 self._plates.append((plate, top + margin, left + margin))
-        if legend is not None:
-            color, name = legend
+        if ghost:
             font = _font(round(18 * self._unit))
-            plate = _plate([(name, font, _WHITE)], round(8 * self._unit), self._unit, color)
+            plate = _plate([("demonstration", font, _WHITE)], round(8 * self._unit), self._unit, GHOST_RGBA[:3])
             self._plates.append((plate, height - plate.height - margin, width - plate.width - margin))
         half = max(1, round(1.5 * self._unit))  # of the bars between panels
         self._bars: list[Any] = [np.s_[:, at - half : at + half] for at in {left for left, *_ in cells} - {0}]
@@ -157,8 +149,8 @@ class Overlay:
             frame[bar] = 255
         for plate, top, left in self._plates:
             _blend(frame, plate, top, left)
-        if self._clock:
-            clock = _clock_plate(f"{time_s:.1f} s{self._note}", self._unit)
+        if self._clock is not None:
+            clock = _clock_plate(f"{time_s:.1f} s   {self._clock}".rstrip(), self._unit)
             _blend(frame, clock, self._clock_at[1] - clock.height, self._clock_at[0])
 
 

@@ -7,6 +7,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -20,7 +21,7 @@ from fastmimic.base.machine import available_cores
 from fastmimic.render.encoding import FPS, GIF_FPS, GIF_SIZE, PREVIEW, QUALITIES, Quality, encoded, encoder_arguments
 from fastmimic.render.offscreen import NoRendererError, Offscreen, Overlay, in_any_thread
 from fastmimic.render.tracks import Shown, Track
-from fastmimic.render.video_scene import GHOST_RGBA, TILE_M, CameraView, VideoScene, build_video_scene
+from fastmimic.render.video_scene import TILE_M, CameraView, VideoScene, build_video_scene
 from fastmimic.robot import Robot
 
 _LOG = logging.getLogger(__name__)
@@ -29,7 +30,6 @@ _CAMERA_SMOOTHING_S: Final = 0.35
 _LOOK_AT_HEIGHT: Final = 0.62  # share of the base's height; leaves room for text and shadow
 MAX_PANELS: Final = 4
 _MAX_PAINTERS: Final = 4
-_TRAIL_WIDTH: Final = 3.0  # pixels in a picture of 720 lines; at least half of it
 
 _Paint: TypeAlias = Callable[[int], Future[NDArray[np.uint8]]]  # starts drawing a frame (height, width, 3)
 
@@ -97,9 +97,9 @@ def render_video(
     arguments = encoder_arguments(path, size, fps, quality, len(frames))
     shown = [track.shown(robot, rate_hz, times, marks=marks) for track in tracks]
     video_scene = _build(robot, shown, size, quality, loop_m)
-    legend = (GHOST_RGBA[:3], "demonstration") if any(track.ghost is not None for track in tracks) else None
-    note = f"slow motion 1 : {slow_motion:g}" if slow_motion != 1 else ""
-    overlay = Overlay(*size, [(t.title, t.caption) for t in tracks], legend, note, columns=columns, clock=clock)
+    ghost, slow = any(t.ghost is not None for t in tracks), f"slow motion 1 : {slow_motion:g}"
+    note = None if not clock else slow if slow_motion != 1 else ""
+    overlay = Overlay(size, [(t.title, t.caption) for t in tracks], columns, ghost=ghost, clock=note)
 
     try:
         with ExitStack() as stack:
@@ -107,10 +107,14 @@ def render_video(
             # without a graphics card each painter uses one core and sometimes waits
             number = min(_MAX_PAINTERS, available_cores() + 1, len(frames)) if in_any_thread() else 1
             for _ in range(number):
-                panels = _panels(video_scene, robot, shown, times, size, columns)
+                panels = _panels(video_scene, robot, shown, times, columns)
                 painters.append(stack.enter_context(_painter(video_scene, panels, columns)))
             write = stack.enter_context(encoded(path, arguments))
-            _film(painters, frames, times, overlay, write, progress)
+            for done, (i, frame) in enumerate(zip(frames, _painted(painters, frames), strict=True), start=1):
+                overlay.draw(frame, float(times[i]))
+                write(frame)
+                if progress is not None:
+                    progress(done, len(frames))
     except NoRendererError as error:
         _LOG.warning("%s was not written: %s; set MUJOCO_GL to a backend that works", path, error)
         return None
@@ -142,24 +146,14 @@ def _painter(video_scene: VideoScene, panels: list[CameraView], columns: int) ->
             thread.submit(screen.close).result()
 
 
-def _film(
-    painters: list[_Paint],
-    frames: range,
-    times: Array,
-    overlay: Overlay,
-    write: Callable[[NDArray[np.uint8]], None],
-    progress: Callable[[int, int], None] | None,
-) -> None:
-    """Labels and writes the frames in order, while the painters draw the next ones by turns."""
-    ahead = deque(paint(i) for paint, i in zip(painters, frames, strict=False))
-    for done, i in enumerate(frames, start=1):
+def _painted(painters: list[_Paint], frames: range) -> Iterator[NDArray[np.uint8]]:
+    """The frames in order; while one is used, the painters draw the next ones by turns."""
+    turns = zip(cycle(painters), frames, strict=False)
+    ahead = deque(paint(i) for paint, i in islice(turns, len(painters)))
+    while ahead:
         frame = ahead.popleft().result()
-        if (following := done - 1 + len(painters)) < len(frames):
-            ahead.append(painters[(done - 1) % len(painters)](frames[following]))
-        overlay.draw(frame, float(times[i]))
-        write(frame)
-        if progress is not None:
-            progress(done, len(frames))
+        ahead.extend(paint(i) for paint, i in islice(turns, 1))
+        yield frame
 
 
 def _frames(times: Array, window_s: tuple[float, float] | None) -> range:
@@ -184,25 +178,23 @@ def _build(
     return build_video_scene(robot, ghost=ghost, size=size, floor=floor, quality=quality, tile=tile, terrain=terrain)
 
 
-def _panels(
-    video_scene: VideoScene, robot: Robot, shown: list[Shown], times: Array, size: tuple[int, int], columns: int
-) -> list[CameraView]:
+def _panels(video_scene: VideoScene, robot: Robot, shown: list[Shown], times: Array, columns: int) -> list[CameraView]:
     """Panels that all look from the same side and distance, each following its own robot."""
     span = np.ptp(robot.hip_pos_b[:, 0]) + robot.leg_length
     rows = -(-len(shown) // columns)
-    aspect = size[0] / columns / (size[1] / rows)
-    half_tan = np.tan(np.radians(video_scene.model.vis.global_.fovy) / 2)
+    picture = video_scene.model.vis.global_
+    aspect = picture.offwidth / columns / (picture.offheight / rows)
+    half_tan = np.tan(np.radians(picture.fovy) / 2)
     distance = float(max(0.62 * span / half_tan, 0.74 * span / (half_tan * aspect)))
     first = next((s for s in shown if s.robot is not None), shown[0])
     azimuth = np.degrees(first.yaw) + _CAMERA_AZIMUTH_DEG
     height = _LOOK_AT_HEIGHT * float(np.median(first.root[:, 2]))
     dt = times[1] - times[0] if len(times) > 1 else 1.0
-    look = {"azimuth_deg": azimuth, "distance": distance, "trail_width": _TRAIL_WIDTH * max(size[1] / 720, 0.5)}
     panels = []
     for each in shown:
         look_at = _low_pass(each.root, _CAMERA_SMOOTHING_S / dt)
         look_at[:, 2] = height if video_scene.terrain is None else look_at[:, 2] - 0.4 * robot.home_height
-        panels.append(CameraView(video_scene, each, look_at, **look))
+        panels.append(CameraView(video_scene, each, look_at, azimuth_deg=azimuth, distance=distance))
     return panels
 
 

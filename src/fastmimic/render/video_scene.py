@@ -44,6 +44,7 @@ _FLATTEN: Final = np.array(
 _SHADOW_HEIGHT: Final = np.array([0.0, 0.0, 0.002])
 _MARK_HEIGHT: Final = 0.004
 _MARK_RADIUS: Final = 0.034
+_TRAIL_WIDTH: Final = 3.0  # pixels in a picture of 720 lines; at least half of it
 _LIGHT_DISTANCE: Final = 3.0  # m, from the point that the camera looks at
 _ZERO: Final = np.zeros(3)
 _UPRIGHT: Final = np.eye(3).ravel()
@@ -239,19 +240,13 @@ def _quads(low: Array, high: Array) -> tuple[Array, NDArray[np.int32]]:
 
 class CameraView:
     """One panel of a video: poses the robots as `shown`, frame by frame, and collects what to draw. The camera looks
-    along `azimuth_deg`, from the world's x axis, at `look_at` (n, 3), in `distance`, m; trails are in pixels."""
+    along `azimuth_deg`, from the world's x axis, at `look_at` (n, 3), in `distance`, m."""
 
     def __init__(
-        self,
-        video_scene: VideoScene,
-        shown: "Shown",
-        look_at: Array,
-        *,
-        azimuth_deg: float,
-        distance: float,
-        trail_width: float,
+        self, video_scene: VideoScene, shown: "Shown", look_at: Array, *, azimuth_deg: float, distance: float
     ) -> None:
-        self.video_scene, self._shown, self._look_at, self._trail_width = video_scene, shown, look_at, trail_width
+        self.video_scene, self._shown, self._look_at = video_scene, shown, look_at
+        self._trail_width = _TRAIL_WIDTH * max(video_scene.model.vis.global_.offheight / 720, 0.5)
         self._data = mujoco.MjData(video_scene.model)
         self.scene = mujoco.MjvScene(video_scene.model, maxgeom=2 * video_scene.model.ngeom + _MAX_MARKS)
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = video_scene.quality.shadow_map > 0

@@ -114,8 +114,7 @@ def comparison_figure(summaries: Sequence[Summary], title: str) -> Figure:
     axes.set_ylim(0, 1.12)
     axes.set_yticks(np.linspace(0, 1, 6))
     said = "Bars: one nominal episode, mean ± std over the seeds. Circles: perturbed starts"
-    style.tidy(axes, said, ylabel="reward (0 to 1)")
-    axes.grid(False, axis="x")
+    style.tidy(axes, said, ylabel="reward (0 to 1)", grid="y")
     axes.tick_params(axis="x", labelsize=9.5, length=0)
     bars = [Patch(facecolor=m.color, hatch=m.hatch, edgecolor="white", label=m.label) for m in methods]
     style.legend_below(figure, more=[*bars, *_marks()])
@@ -183,8 +182,7 @@ def _error_bars(axes: Axes, summaries: Sequence[Summary], axis: str) -> None:
         top = max(top, highest)
     axes.set_xticks(range(len(summaries)), [s.motion for s in summaries])
     axes.set_ylim(0, 1.25 * top if top > 0 else 1.0)
-    style.tidy(axes, f"Foot {axis}: error before → after", "", "RMS, four feet (mm)")
-    axes.grid(False, axis="x")
+    style.tidy(axes, f"Foot {axis}: error before → after", "", "RMS, four feet (mm)", grid="y")
 
 
 def _falls(s: Summary) -> str:
@@ -210,8 +208,7 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
         axes.set_xlim(0, 1)
         axes.set_xticks((0, 0.5, 1))
         axes.set_yticks(range(len(variants)), [v or f"{method_named(ABLATED).label}, as it is" for v in variants])
-        style.tidy(axes, motion, "reward", "")
-        axes.grid(False, axis="y")
+        style.tidy(axes, motion, "reward", grid="x")
     grid[0, 0].invert_yaxis()
     style.legend_below(figure, more=_marks(), size=8.5)
     return figure
@@ -309,15 +306,14 @@ def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
         for i, t in enumerate(group):
             _transfer_bars(axes, i, t)
         axes.set_xticks(range(len(group)), [method_named(t.method).label for t in group])
-        style.tidy(axes, motion)
+        style.tidy(axes, motion, grid="y")
     for i, (_, simulated, deviation, real, spread) in enumerate(transfer.PAPER):
         _transfer_bar(panels[-1], i - 0.2, 0.36, simulated, deviation, *_COLORS[0])
         _transfer_bar(panels[-1], i + 0.2, 0.36, real, spread, *_COLORS[3])
     panels[-1].set_xticks(range(len(transfer.PAPER)), [label for label, *_ in transfer.PAPER])
-    style.tidy(panels[-1], "the paper's turn, real robot")
+    style.tidy(panels[-1], "the paper's turn, real robot", grid="y")
     for axes in panels:
         axes.set_ylim(0, 1.05)
-        axes.grid(False, axis="x")
         axes.tick_params(axis="x", length=0)
     panels[0].set_ylabel("reward (0 to 1)", fontsize=9)
     handles = [

@@ -124,12 +124,10 @@ def tracking_figure(
                 axes.plot(time, feet[:, leg], **line._asdict(), label=label)
             errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]
             said = " → ".join(f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
-            style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {said} mm")
+            where = f"foot {'xyz'[axis]}, body frame (m)" if leg == 0 else ""
+            style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {said} mm", "time (s)" if row else "", where)
             axes.set_xlim(start, end if end > start else start + 1.0)
         _same_span(grid[row], drawn, (time >= start) & (time <= end))
-        grid[row, 0].set_ylabel(f"foot {'xyz'[axis]}, body frame (m)", fontsize=9, color=MUTED)
-    for axes in grid[1]:
-        axes.set_xlabel("time (s)", fontsize=9, color=MUTED)
     style.legend_below(figure, grid[0, 0], [Patch(color=STANCE, label="stance in the demonstration")])
     return figure
 
@@ -276,9 +274,8 @@ def _draw_gait(axes: Axes, time: Array, dt: float, contact: Flags) -> None:
         axes.broken_barh(bars, (row - 0.36, 0.72), facecolor=LEG_LINES[leg].color, edgecolor=INK, linewidth=0.6)
     duty = contact.mean(axis=0)
     axes.set_ylim(-0.6, len(LEGS) - 0.4)
-    style.tidy(axes, "gait: a bar is stance; the number is the duty factor")
+    style.tidy(axes, "gait: a bar is stance; the number is the duty factor", grid="x")
     axes.set_yticks(list(rows), [f"{leg}  {d:.2f}" for leg, d in zip(LEGS, duty, strict=True)])
-    axes.grid(False, axis="y")
 
 
 def _widen(axes: Axes, least: float) -> None:

@@ -212,7 +212,8 @@ def fill(grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture: A
         mix(grid, values, s, mixture)
         row = int(s.position) % values.shape[1]
         _sample(mixture, schedule[0][row], s, table[k])
-        table[k].gain = _nearest(mixture) * gains + row // GAIN_SAMPLES
+        most = mixture.gait[np.argmax(mixture.weight)]  # the gait that has most of the mixture
+        table[k].gain = most * gains + row // GAIN_SAMPLES
         table[k].sync = s.synced if k > 0 else 0
         dx, dy = s.pose[0] - x0, s.pose[1] - y0
         put_at(cos * dx + sin * dy, -sin * dx + cos * dy, s.pose[2] - yaw0, table[k])
@@ -227,15 +228,6 @@ def fill(grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture: A
         for leg in range(4):
             copy(s.feet[leg], work.feet[2, leg])
         put_joints(work, table[0])
-
-
-@inlined
-def _nearest(mixture: Any) -> int:
-    """The gait that has most of the mixture."""
-    most = 0
-    for g in range(9):
-        most = g if mixture.weight[g] > mixture.weight[most] else most
-    return int(mixture.gait[most])
 
 
 @kernel

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
 LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])  # names and labels
+_LOOKS: Final = packaged("fastmimic.viewer", "looks.json", dict[str, dict[str, Any]])  # of nodes, as viser names them
 WIDE_GROUND: Final = (24.0, 24.0)
-_CELL_M: Final = 0.25
+_CELL_M: Final = float(_LOOKS["ground"]["cell_size"])
 _TERRAIN_RGB: Final = (205, 210, 215)
 _FORCE_RGB: Final = (178, 24, 43)
 _ASKED_RGB: Final = (20, 20, 20)
@@ -79,20 +80,7 @@ class RobotScene:
             for layer in LAYERS
             if layer != "animal" or animal is not None
         }
-        self._grid = server.scene.add_grid(
-            f"{name}/ground",
-            width=ground[0],
-            height=ground[1],
-            cell_size=_CELL_M,
-            section_size=_CELL_M,
-            cell_color=(178, 186, 194),
-            section_color=(178, 186, 194),
-            plane_color=(226, 230, 234),
-            plane_opacity=1.0,
-            shadow_opacity=0.25,
-            fade_distance=14.0,
-            position=(0.0, 0.0, -0.001),
-        )
+        self._grid = server.scene.add_grid(f"{name}/ground", *ground, position=(0.0, 0.0, -0.001), **_LOOKS["ground"])
         if take.terrain is not None:
             self._grid.visible = False
             mesh, rgb = ground_surface(take.terrain), _TERRAIN_RGB
@@ -193,10 +181,7 @@ class RobotScene:
             batched_positions=np.zeros((4, 3)),
             batched_scales=np.ones(4),
             batched_colors=linear(leg_colours()),
-            lod="off",
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
+            **_LOOKS["marks"],
         )
 
     def _add_lines(self, name: str) -> dict[str, Any]:

@@ -73,8 +73,7 @@ def default_camera(robot: Robot, beside: Sequence[float], yaw: float, aspect: fl
     the left of the middle; `yaw` is the heading at the start, rad; `aspect` the picture's width over its height."""
     span = float(np.ptp(robot.hip_pos_b[:, 0])) + robot.leg_length
     alone = len(beside) == 1
-    across = 0.0 if alone else max(beside) - min(beside)
-    wide = (1.6 if alone else 1.1) * span + 0.9 * across
+    wide = (1.6 if alone else 1.1) * span + 0.9 * (max(beside) - min(beside))
     half = np.tan(_FOV_RAD / 2)
     distance = max(1.15 * span / half, 0.5 * wide / (half * min(aspect, 1.6)))
     azimuth, elevation = yaw - np.radians(48.0 if alone else 32.0), np.radians(20.0)
@@ -265,12 +264,7 @@ class Viewer(WebPage):
     to try. Raises `ConfigError` if viser is not installed, or no port is free."""
 
     def __init__(
-        self,
-        robot: Robot,
-        shown: Sequence[Sequence[Take]],
-        heading: str,
-        port: int = DEFAULT_PORT,
-        animal: Animal | None = None,
+        self, robot: Robot, shown: Sequence[Sequence[Take]], heading: str, port: int, animal: Animal | None = None
     ) -> None:
         super().__init__(port)
         self._shown = [tuple(takes) for takes in shown]

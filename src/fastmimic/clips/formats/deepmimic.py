@@ -14,7 +14,7 @@ the trunk's centre of mass, as PyBullet's is: all feet are then off by the same 
 
 import json
 import re
-from itertools import product
+from itertools import islice, product
 from typing import Any, Final
 
 import numpy as np
@@ -203,10 +203,8 @@ def _frames(document: dict[str, Any], text: str) -> Array:
 def _frame_line(text: str, index: int) -> int:
     """1-based line at which a frame starts: frames are the innermost lists after the key."""
     key = text.find('"Frames"')
-    for i, match in enumerate(re.finditer(r"\[[^\[\]]*\]", text[key:])):
-        if i == index:
-            return text.count("\n", 0, key + match.start()) + 1
-    return text.count("\n", 0, key) + 1
+    frame = next(islice(re.finditer(r"\[[^\[\]]*\]", text[key:]), index, None), None)
+    return text.count("\n", 0, key if frame is None else key + frame.start()) + 1
 
 
 def _loop_mode(document: dict[str, Any]) -> tuple[str | None, list[str]]:

@@ -31,14 +31,8 @@ class _Words(msgspec.Struct, frozen=True):
     tip: frozenset[str]
 
 
-class _Table(msgspec.Struct, frozen=True):
-    maps: dict[str, dict[str, str]]
-    words: _Words
-
-
-_TABLE: Final = packaged("fastmimic.clips.formats", "point_names.json", _Table)
-_SAID: Final = _TABLE.words
-BUILT_IN: Final[Mapping[str, PointMap]] = _TABLE.maps
+_SAID: Final = packaged("fastmimic.clips.formats", "point_names.json", _Words)
+BUILT_IN: Final = packaged("fastmimic.clips.formats", "point_maps.json", dict[str, PointMap])
 """Default maps, tried in this order: the dog of Zhang et al. (2018), where `.end` is a joint's end site; the 39 points
 of Ye et al. (2024), with DeepLabCut's spelling of thigh, where `back_base` is at the withers; the horses of the Vienna
 Horse Data Collection (hoof, front or hind, left or right). Without hips, these are inferred (`with_hips`)."""
