@@ -148,6 +148,8 @@ def _processor() -> str:
 @contextmanager
 def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
     """A bar on a terminal, otherwise a line for each finished run."""
+    from fastmimic.experiments.comparison_run import run_of
+
     began = time.perf_counter()
     with share_progress("comparing") as tell:
 
@@ -158,9 +160,8 @@ def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
             line = ""
             if row is not None:
                 finished += 1
-                run = row["method"] + (f" ({row['variant']})" if row["variant"] else "") + f" seed {row['seed']}"
                 fell = ", fell" if row["fell"] else ""
-                line = f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}"
+                line = f"{finished}/{total} {run_of(row)}: reward {row['reward_mean']:.3f}{fell}{left}"
             tell(share, f"{finished}/{total} runs{left}", line)
 
         yield report
