@@ -1,11 +1,12 @@
 """How searches choose their result in tests: quickly."""
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 from unittest import mock
 
-from fastmimic import cli
+from fastmimic.cli import main
+from fastmimic.commands import options
 from fastmimic.optimize.parameters import FinalChoice
 
 QUICK_CHOICE: Final = FinalChoice(candidates=2, episodes=2, duration_s=0.4)
@@ -15,17 +16,12 @@ PART_DURATION_S: Final = 0.6
 
 
 def quick_main(arguments: Sequence[str] | None = None) -> int:
-    """The command line, choosing quickly at the end of a search, and evaluating shortly: these fields of the verbs have
-    no options."""
-    parse = cli.parse
-    with mock.patch.object(cli, "parse", lambda name, rest: _filled(parse(name, rest), _QUICK)):
-        return cli.main(arguments)
+    """The command line, which chooses quickly at the end of a search, and evaluates shortly: no option says so."""
+    apply = options.apply
 
+    def quickly(function: Callable[..., Any], *groups: Any, **others: Any) -> Any:
+        names = inspect.signature(function).parameters
+        return apply(function, *groups, **{k: v for k, v in _QUICK.items() if k in names} | others)
 
-def _filled(command: Any, values: Mapping[str, Any]) -> Any:
-    """The command, or a part of it, with these values in place of the fields of their names."""
-    own = {field.name: getattr(command, field.name) for field in dataclasses.fields(command)}
-    for name, value in own.items():
-        if dataclasses.is_dataclass(value) and name not in values:
-            own[name] = _filled(value, values)
-    return dataclasses.replace(command, **own | {name: values[name] for name in own if name in values})
+    with mock.patch.object(options, "apply", quickly):
+        return main(arguments)

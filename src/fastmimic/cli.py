@@ -93,7 +93,7 @@ def _dispatch(arguments: list[str]) -> int:
         logger.setLevel(logging.INFO)  # of long work
     load_extensions()
     try:
-        return parse(first, rest).run() or 0  # a verb that only succeeds returns nothing
+        return _parse(first, rest).run() or 0  # a verb that only succeeds returns nothing
     except _UsageError as error:
         return _fail(f"{error} (see 'fastmimic {first} --help')")
     except SystemExit as stop:  # --help
@@ -110,7 +110,7 @@ class _UsageError(Exception):
     """Arguments that do not parse."""
 
 
-def parse(name: str, rest: list[str]) -> Any:
+def _parse(name: str, rest: list[str]) -> Any:
     """The verb's dataclass with its arguments, parsed by tyro."""
     verb = VERBS[name]
     dataclass = getattr(import_module(f"fastmimic.commands.{verb.module}"), verb.dataclass)
