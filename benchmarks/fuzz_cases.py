@@ -63,12 +63,12 @@ class Case:
         self.use(folder, draw)
 
 
-def command(*arguments: object, without_option: dict[str, Any] | None = None) -> None:
+def command(*arguments: object, run: Callable[[list[str]], int] = main) -> None:
     """Runs the command line; raises `FailedError` unless it ends well or with one line of an error."""
     errors = io.StringIO()
     before, sys.stderr = sys.stderr, errors
     try:
-        status = main([str(argument) for argument in arguments], without_option=without_option)
+        status = run([str(argument) for argument in arguments])
     finally:
         sys.stderr = before
     last = errors.getvalue().rstrip("\n").split("\n")[-1]
@@ -508,10 +508,10 @@ _MADE: Final = {
 
 def make_folders(scratch: Path) -> None:
     """Makes the folders that are not there yet."""
-    quick = of_tests("searches.py").QUICK_COMMAND
+    quick = of_tests("searches.py").quick_main
     for name, arguments in _MADE.items():
         if not (scratch / name).exists():
-            main([*arguments, "--out", str(scratch / name)], without_option=quick)
+            quick([*arguments, "--out", str(scratch / name)])
 
 
 def _folders(scratch: Path) -> list[Case]:
@@ -542,13 +542,13 @@ def _folders(scratch: Path) -> list[Case]:
         "deployment": (("report", "."), ("evaluate", "log.mcap"), ("identify", "."), ("evaluate", ".")),
     }
 
-    quick = of_tests("searches.py").QUICK_COMMAND
+    quick = of_tests("searches.py").quick_main
 
     def use(name: str, folder: Path, draw: Draw) -> None:
         for _ in range(pick(draw, (1, 1, 2))):
             arguments = pick(draw, verbs[name])
             out = ("--out", ".") if arguments == _MADE["library"] else ()
-            command(*arguments, *out, without_option=quick)
+            command(*arguments, *out, run=quick)
 
     found = []
     for name in verbs:

@@ -240,7 +240,7 @@ def takes(out: Path, iterations: int, say: Callable[[str], None]) -> str:
     sources = find_sources(data_folder())
     recipe = replace(BuildSettings(), iterations=iterations)
     built = build_dataset(BuildRequest(sources, recipe, ("a1",)), out, make_executor("local"), progress=progress)
-    rows = built.rows
+    rows = built.table.to_pylist()
     by_gait: dict[str, Counter[str]] = {}
     for row in rows:
         by_gait.setdefault(row["footfall"] if row["gait"] != "turn" else "turn", Counter())[row["grade"]] += 1

@@ -1,7 +1,6 @@
 """The command `fastmimic`: imports the verb's module, parses its arguments, and prints errors as one line."""
 
 import contextlib
-import dataclasses
 import difflib
 import io
 import json
@@ -51,19 +50,15 @@ A MOTION is a built-in gait such as trot, a recording such as dog:pace (see 'fas
 """
 
 
-def main(argv: Sequence[str] | None = None, *, without_option: Mapping[str, Any] | None = None) -> int:
-    """Runs the command line; returns the exit status.
-
-    Args:
-        argv: arguments without the program's name; those of the process if None.
-        without_option: values of the verb's fields that have no option, such as `choice`; a verb ignores others.
-    """
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line; returns the exit status. `argv` are arguments without the program's name; those of the
+    process if None."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for terminals without, say, an arrow
     try:
-        status = _dispatch(arguments, without_option or {})
+        status = _dispatch(arguments)
         sys.stdout.flush()
     except FastMimicError as error:
         return _fail(" ".join(str(error).split()))
@@ -79,7 +74,7 @@ def main(argv: Sequence[str] | None = None, *, without_option: Mapping[str, Any]
     return status
 
 
-def _dispatch(arguments: list[str], without_option: Mapping[str, Any]) -> int:
+def _dispatch(arguments: list[str]) -> int:
     if not arguments:
         sys.stderr.write(HELP)
         return EXIT_ERROR
@@ -98,20 +93,11 @@ def _dispatch(arguments: list[str], without_option: Mapping[str, Any]) -> int:
         logger.setLevel(logging.INFO)  # of long work
     load_extensions()
     try:
-        return _filled(_parse(first, rest), without_option).run() or 0  # a verb that only succeeds returns nothing
+        return _parse(first, rest).run() or 0  # a verb that only succeeds returns nothing
     except _UsageError as error:
         return _fail(f"{error} (see 'fastmimic {first} --help')")
     except SystemExit as stop:  # --help
         return int(stop.code or 0)
-
-
-def _filled(command: Any, values: Mapping[str, Any]) -> Any:
-    """The command, or a part of it, with these values in place of the fields of their names."""
-    own = {field.name: getattr(command, field.name) for field in dataclasses.fields(command)}
-    for name, value in own.items():
-        if dataclasses.is_dataclass(value) and name not in values:
-            own[name] = _filled(value, values)
-    return dataclasses.replace(command, **own | {name: values[name] for name in own if name in values})
 
 
 def _unknown(word: str) -> str:

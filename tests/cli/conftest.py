@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from cli.running import QUICK_MAIN, Outcome, Run
-from fastmimic.cli import main
 from made_once import made_once
-from searches import QUICK_COMMAND
+from searches import quick_main
 
 __all__ = ["made_once"]  # for all tests of the folder
 
@@ -30,7 +29,7 @@ def run(in_folder: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
     def call(*arguments: str | Path) -> Outcome:
         capsys.readouterr()
-        status = main([str(a) for a in arguments], without_option=QUICK_COMMAND)
+        status = quick_main([str(a) for a in arguments])
         captured = capsys.readouterr()
         return Outcome(status, captured.out, captured.err)
 

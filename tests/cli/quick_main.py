@@ -4,8 +4,7 @@ import gc
 import signal
 import sys
 
-from fastmimic.cli import main
-from searches import PART_DURATION_S, QUICK_COMMAND
+from searches import PART_DURATION_S, quick_main
 
 if __name__ == "__main__":
     gc.set_threshold(50_000, 20, 100)  # as in `conftest`
@@ -14,4 +13,4 @@ if __name__ == "__main__":
         from fastmimic.imitation import stitch
 
         stitch.PART_DURATION_S = PART_DURATION_S
-    sys.exit(main(without_option=QUICK_COMMAND))
+    sys.exit(quick_main())

@@ -17,10 +17,9 @@ import pytest
 
 from cli.running import TINY, Outcome, Run, wait_for_iteration
 from fastmimic.base.conventions import LEGS
-from fastmimic.cli import main
 from fastmimic.commands.imitate import Imitate
 from fastmimic.motion.motion import Motion
-from searches import QUICK_COMMAND
+from searches import quick_main
 
 Start = Callable[..., "subprocess.Popen[str]"]
 TIMES = ("wall_s", "video_s", "realtime_factor")
@@ -55,7 +54,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     folder = tmp_path_factory.mktemp("first")
     out, err = io.StringIO(), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(["imitate", "trot", *TINY], without_option=QUICK_COMMAND)
+        status = quick_main(["imitate", "trot", *TINY])
     return folder / "runs" / "trot-a1-mbc-dmp-0", Outcome(status, out.getvalue(), err.getvalue())
 
 

@@ -15,9 +15,8 @@ import pytest
 
 from cli.running import Outcome, Run, wait_for_iteration
 from cli.test_imitate import assert_same_run, metrics
-from fastmimic.cli import main
 from fastmimic.motion.motion import Motion
-from searches import PART_DURATION_S, QUICK_COMMAND
+from searches import PART_DURATION_S, quick_main
 
 TINY = ("--cycles", "2", "--iterations", "2", "--part-iterations", "2", "--population", "4", "--no-video")
 
@@ -35,7 +34,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     folder = tmp_path_factory.mktemp("first")
     out, err = io.StringIO(), io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(["stitch", "trot", "turn", *TINY], without_option=QUICK_COMMAND)
+        status = quick_main(["stitch", "trot", "turn", *TINY])
     return folder / "runs" / "trot+turn-a1-mbc-dmp-0", Outcome(status, out.getvalue(), err.getvalue())
 
 

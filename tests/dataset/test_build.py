@@ -81,10 +81,10 @@ def test_more_seeds_and_robots_are_added(mine: Path) -> None:
     more = BuildRequest([DatasetSource("trot")], RECIPE, ("a1", "go2"), seeds=2)
     again = build_dataset(more, mine, HERE)
     assert (again.jobs, again.done) == (4, 3)
-    rows = [row for row in again.rows if row["name"] == "trot"]
+    rows = [row for row in again.table.to_pylist() if row["name"] == "trot"]
     assert [(row["robot"], row["seed"]) for row in rows] == [("a1", 0), ("a1", 1), ("go2", 0), ("go2", 1)]
     assert sum(row["best"] for row in rows) == 2
-    assert len(again.rows) == 5  # with the pace
+    assert len(again.table.to_pylist()) == 5  # with the pace
 
 
 @pytest.mark.parametrize("harm", ["torn motion", "changed motion", "lost motion", "torn record", "other record"])
@@ -264,7 +264,7 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     monkeypatch.setattr(measurement, "imitate", lambda *a, **k: begun.append(k["resume"]) or whole(*a, **k))
     again = build_dataset(longer, mine, HERE, update=True)
     assert begun == [True]
-    assert [row["iterations"] for row in again.rows] == [5]  # the pace is of the old recipe
+    assert [row["iterations"] for row in again.table.to_pylist()] == [5]  # the pace is of the old recipe
     health = check(MotionDataset.open(mine))
     assert len(health.foreign) == 4  # the old records, and their motions
     assert mend(MotionDataset.open(mine)) == (health, 4)
@@ -312,8 +312,8 @@ def test_a_folder_with_one_clip_that_is_torn(clips: Path, tmp_path: Path) -> Non
     sources = find_sources(clips)
     assert [Path(source.place).name for source in sources] == ["pace.txt", "torn.txt", "trot.txt"]
     done = build_dataset(BuildRequest(sources, RECIPE, ("a1",)), tmp_path, HERE)
-    assert [(row["name"], row["status"]) for row in done.rows] == [("pace", "done"), ("trot", "done")]
-    assert {row["licence"] for row in done.rows} == {"Made for a test"}
+    assert [(row["name"], row["status"]) for row in done.table.to_pylist()] == [("pace", "done"), ("trot", "done")]
+    assert {row["licence"] for row in done.table.to_pylist()} == {"Made for a test"}
     failed = [survey for survey in done.surveys if survey.failed is not None]
     assert len(failed) == 1
     assert "torn.txt" in (failed[0].failed or "")
@@ -328,8 +328,8 @@ def test_a_source_that_changes_is_done_again(clips: Path, tmp_path: Path) -> Non
     file.write_text((clips / "below/pace.txt").read_text())
     second = build_dataset(building, folder, HERE)
     assert second.done == 1
-    assert [row["id"] for row in second.rows] != [row["id"] for row in first.rows]
-    assert len(second.rows) == 1
+    assert [row["id"] for row in second.table.to_pylist()] != [row["id"] for row in first.table.to_pylist()]
+    assert len(second.table.to_pylist()) == 1
 
 
 def test_equal_clips_are_one_motion_with_a_source_and_its_licence(clips: Path, tmp_path: Path) -> None:
@@ -346,14 +346,14 @@ def test_equal_clips_are_one_motion_with_a_source_and_its_licence(clips: Path, t
     assert (first.jobs, first.done) == (1, 1)
     again = made(licence="mine")
     assert again.done == 0
-    assert [row["licence"] for row in again.rows] == ["mine"]
+    assert [row["licence"] for row in again.table.to_pylist()] == ["mine"]
     assert len(list((tmp_path / "library" / "sources").iterdir())) == 2
     for torn, whole in ((other, one), (one, other)):
         text = torn.read_text()
         torn.write_text("1 2 3")
         harmed = made()
         assert harmed.done == 0
-        assert [(row["source"], row["name"]) for row in harmed.rows] == [(str(whole), whole.stem)]
+        assert [(row["source"], row["name"]) for row in harmed.table.to_pylist()] == [(str(whole), whole.stem)]
         assert len(harmed.failures) == 1
         assert harmed.failures[0].count(str(torn)) == 1
         torn.write_text(text)
@@ -450,7 +450,7 @@ def test_a_motion_that_cannot_be_made_is_said_with_its_reason(tmp_path: Path, mo
         return whole(motion, *a, **k)
 
     monkeypatch.setattr(measurement, "imitate", sometimes)
-    rows = build_dataset(of("trot", "pace"), tmp_path, HERE).rows
+    rows = build_dataset(of("trot", "pace"), tmp_path, HERE).table.to_pylist()
     assert [(row["name"], row["grade"]) for row in rows] == [("pace", "failed"), ("trot", "A")]
     assert "unexpected ZeroDivisionError" in rows[0]["lacks"]
     monkeypatch.undo()
@@ -463,8 +463,8 @@ def test_long_takes_are_cut(data_folder: Path, tmp_path: Path) -> None:
     building = BuildRequest(find_sources(take), replace(RECIPE, iterations=1), ("a1",), confidence=0.85)
     done = build_dataset(building, tmp_path, HERE)
     assert done.jobs >= 2
-    assert all(row["first_frame"] < row["end_frame"] for row in done.rows)
-    assert all("CC BY-NC" in row["licence"] for row in done.rows)
+    assert all(row["first_frame"] < row["end_frame"] for row in done.table.to_pylist())
+    assert all("CC BY-NC" in row["licence"] for row in done.table.to_pylist())
 
 
 def test_movement_that_does_not_repeat_is_asked_for(data_folder: Path, tmp_path: Path) -> None:
@@ -498,14 +498,15 @@ def test_takes_are_run_whole_when_asked(data_folder: Path) -> None:
 def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
     rows = {row["name"]: row for row in MotionDataset.open(built).index()}
     done = build_dataset(of("pace", warm=MotionDataset.open(built)), tmp_path, HERE)
-    assert [row["warm_start"] for row in done.rows] == [rows["pace"]["id"]]
-    assert done.rows[0]["id"] != rows["pace"]["id"]
-    assert done.rows[0]["reward_mean"] >= rows["pace"]["reward_mean"] - 1e-3
+    assert [row["warm_start"] for row in done.table.to_pylist()] == [rows["pace"]["id"]]
+    assert done.table.to_pylist()[0]["id"] != rows["pace"]["id"]
+    assert done.table.to_pylist()[0]["reward_mean"] >= rows["pace"]["reward_mean"] - 1e-3
 
 
 def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: Path) -> None:
     def starts(building: BuildRequest) -> list[str | None]:
-        return [row["warm_start"] for row in build_dataset(building, mine, HERE).rows if row["name"] == "pace"]
+        rows = build_dataset(building, mine, HERE).table.to_pylist()
+        return [row["warm_start"] for row in rows if row["name"] == "pace"]
 
     cold = {row["name"]: row["id"] for row in MotionDataset.open(mine).index()}
     warm = replace(of("pace"), warm=MotionDataset.open(built))
@@ -535,8 +536,8 @@ def test_a_rerun_notices_another_reward(mine: Path) -> None:
 @pytest.mark.slow
 def test_processes_make_the_same(built: Path, tmp_path: Path) -> None:
     done = build_dataset(of("trot", "pace"), tmp_path, make_executor("local", workers=2))
-    assert {row["name"]: row["status"] for row in done.rows} == {"trot": "done", "pace": "done"}
-    assert [row["evaluations"] for row in done.rows] != [0, 0]
+    assert {row["name"]: row["status"] for row in done.table.to_pylist()} == {"trot": "done", "pace": "done"}
+    assert [row["evaluations"] for row in done.table.to_pylist()] != [0, 0]
 
 
 def test_lists(tmp_path: Path) -> None:

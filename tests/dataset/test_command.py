@@ -17,7 +17,7 @@ from fastmimic.dataset import MotionDataset
 from fastmimic.dataset.repair import check
 from fastmimic.episode.metrics import TRACKED
 from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR, SIMULATORS
-from searches import QUICK_COMMAND
+from searches import quick_main
 
 pytest.importorskip("pyarrow")
 
@@ -32,10 +32,9 @@ RAY = "no Ray cluster at" if find_spec("ray") else "pip install 'fastmimic[ray]'
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a trot and a pace; not to be changed."""
-    from fastmimic.cli import main
 
     folder = tmp_path_factory.mktemp("command") / "motions"
-    assert main(["library", "build", "trot", "pace", "--out", str(folder), *HERE], without_option=QUICK_COMMAND) == 0
+    assert quick_main(["library", "build", "trot", "pace", "--out", str(folder), *HERE]) == 0
     return folder
 
 

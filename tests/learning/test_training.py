@@ -73,7 +73,7 @@ def test_a_folder_holds_the_best_policy_and_its_course(robot: Robot, motion: Mot
     assert policy.training["steps"] == best.steps
     assert policy.about["library"] == "rsl-rl"
     assert (policy.robot, policy.motion, policy.samples) == ("a1", "side-step", motion.n_samples)
-    again = training.evaluate_policy(policy, robot, motion, 0, training.Stopwatch())
+    again = training.evaluate_policy(policy, robot, motion, 0, {"wall_s": 0.0, "cpu_s": 0.0})
     assert (again.reward, again.reward_perturbed) == (best.reward, best.reward_perturbed)
     assert len((tmp_path / "evaluations.csv").read_text().splitlines()) == 4
     assert list((tmp_path / "tensorboard").glob("events.out.tfevents.*"))

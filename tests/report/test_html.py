@@ -33,7 +33,7 @@ from fastmimic.report.html_comparison import read_rows
 from fastmimic.report.html_episodes import motor_torque
 from fastmimic.report.html_page import markdown
 from fastmimic.report.html_run import convergence, parameters
-from searches import QUICK_COMMAND
+from searches import quick_main
 
 SECTIONS = {"figures", "optimisation", "tracking", "terms", "limits", "run"}
 FIGURES = {"convergence", "parameters", "foot-z", "foot-x", "paths", "gait", "reward", "torque", "speed", "friction"}
@@ -80,7 +80,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small run of `imitate`."""
     folder = tmp_path_factory.mktemp("report") / "run"
     options = ["--iterations", "2", "--population", "4", "--duration", "1", "--no-video", "--out", str(folder)]
-    assert main(["imitate", "trot", *options], without_option=QUICK_COMMAND) == 0
+    assert quick_main(["imitate", "trot", *options]) == 0
     config = json.loads((folder / "config.json").read_text())
     config["arguments"]["no_video"] = False  # as if a video had been asked for
     write_json(folder / "config.json", config)

@@ -1,5 +1,6 @@
 """Robots that are drawn: within their ranges, over all of each range, and the same for the same generator."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from fastmimic.simulation.conditions import (
     other_ranges,
     other_robots,
     parse_range,
-    part,
     usual_range,
     usual_ranges,
 )
@@ -49,7 +49,7 @@ def test_of_as_many_parts_of_a_range_as_robots_each_has_one(n: int) -> None:
 
 def test_divided_robots_are_the_same_ones() -> None:
     robots = other_robots(6)
-    world = make_world(part(robots, slice(2, 5)), 3, "mujoco")
+    world = make_world([replace(d, values=d.values[2:5]) for d in robots], 3, "mujoco")
     payload = next(d for d in robots if d.name == "payload")
     np.testing.assert_array_equal(world["payload"], payload.values[2:5])
 

@@ -1,6 +1,7 @@
 """The array types of the package, stretches of True, and fingerprints of content."""
 
 import hashlib
+import json
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,10 @@ def stretches(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
-def fingerprint(*content: bytes | NDArray[Any]) -> str:
-    """16 hexadecimal digits of texts and of the values of arrays."""
+def fingerprint(*content: bytes | NDArray[Any] | dict[str, Any]) -> str:
+    """16 hexadecimal digits of texts, of the values of arrays, and of JSON objects, by their keys in order."""
     found = hashlib.sha256()
     for part in content:
-        found.update(part if isinstance(part, bytes) else part.tobytes())
+        given = json.dumps(part, sort_keys=True).encode() if isinstance(part, dict) else part
+        found.update(given if isinstance(given, bytes) else given.tobytes())
     return found.hexdigest()[:16]

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tyro.conf import Positional, Suppress
+from tyro.conf import Positional
 
 from fastmimic.base.errors import ConfigError, FastMimicError
 from fastmimic.base.files import check_folder, write_json
@@ -24,7 +24,6 @@ from fastmimic.control.config import controller_config
 from fastmimic.executors import check_workers
 from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder, of_finished
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
@@ -53,8 +52,6 @@ class Compare:
     out: Annotated[Path, opt.option("FOLDER")] = opt.RUNS / "comparison"
     search: opt.Searching
     folder: opt.Folder
-    choice: opt.Choice = FinalChoice()
-    evaluation_s: Annotated[float, Suppress] = 10.0
 
     def run(self) -> None:
         opt.check_duration(self.duration)
@@ -148,6 +145,8 @@ def _processor() -> str:
 @contextmanager
 def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
     """A bar on a terminal, otherwise a line for each finished run."""
+    from fastmimic.experiments.comparison_run import run_of
+
     began = time.perf_counter()
     with share_progress("comparing") as tell:
 
@@ -158,9 +157,8 @@ def _progress(total: int, finished: int) -> "Iterator[ReportProgress]":
             line = ""
             if row is not None:
                 finished += 1
-                run = row["method"] + (f" ({row['variant']})" if row["variant"] else "") + f" seed {row['seed']}"
                 fell = ", fell" if row["fell"] else ""
-                line = f"{finished}/{total} {row['motion']} {run}: reward {row['reward_mean']:.3f}{fell}{left}"
+                line = f"{finished}/{total} {run_of(row)}: reward {row['reward_mean']:.3f}{fell}{left}"
             tell(share, f"{finished}/{total} runs{left}", line)
 
         yield report
@@ -181,7 +179,6 @@ class ExperimentOptions:
     clip: opt.ClipReading
     search: opt.Searching
     folder: opt.Folder
-    choice: opt.Choice = FinalChoice()
 
     def checked_policy(self, robot: Robot, motion: Motion) -> "tuple[MakeController, str] | None":
         """The controllers of the policy and the hash of its file; None without a policy."""
@@ -210,7 +207,7 @@ class ExperimentOptions:
         from fastmimic.experiments.experiment import make_subject
         from fastmimic.optimize.cma_es import CmaSettings, optimisation_progress
 
-        search = CmaSettings(self.search.iterations, self.search.population, self.seed, choice=self.choice)
+        search = opt.apply(CmaSettings, self, self.search)
         folder, config = self.out / MOTIONS, self.config
         with optimisation_progress() as progress:
             return make_subject(method, motion, robot, search, folder, config=config, policy=policy, progress=progress)

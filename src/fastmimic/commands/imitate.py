@@ -18,7 +18,7 @@ from fastmimic.commands.show import note_origin, put_result, unmet_bounds, write
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import check_controller, method_named
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.parameters import FinalChoice, moved_by
+from fastmimic.optimize.parameters import moved_by
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.runs.work_folder import MOTION, RunFolder, default_folder, open_run
@@ -44,7 +44,6 @@ class SearchRun:
     out: Annotated[Path | None, opt.option("FOLDER")] = None
     folder: opt.Folder
     video: opt.Video
-    choice: opt.Choice = FinalChoice()
 
     def check_search(self, method: str) -> None:
         """Raises `ConfigError` for options that a method without a search does not take."""

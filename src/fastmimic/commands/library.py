@@ -17,7 +17,6 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_SOME_FAILED, put, put_json, put_table
 from fastmimic.commands.motion_files import ExportFormat
 from fastmimic.executors import make_executor
-from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
@@ -61,7 +60,6 @@ class Build:
     workers: opt.Workers = None
     update: opt.Flag = False
     search: opt.Searching
-    choice: opt.Choice = FinalChoice()
 
     def run(self) -> int:
         from fastmimic.dataset import build_dataset

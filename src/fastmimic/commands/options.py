@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, dataclass_transform
 
-from tyro.conf import OmitArgPrefixes, Suppress, UseAppendAction, arg
+from tyro.conf import OmitArgPrefixes, UseAppendAction, arg
 
 from fastmimic.base.errors import ConfigError, OutputError
 from fastmimic.base.files import check_folder, packaged
@@ -21,7 +21,6 @@ from fastmimic.clips.clip import Clip
 from fastmimic.control.config import CONFIGS
 from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.render.encoding import QUALITIES
 from fastmimic.robot import ROBOT_CHOICES, Robot, load_robot
 from fastmimic.runs.loading import MotionSource, find_motion
@@ -203,7 +202,6 @@ class VideoOptions:
 FileReading = Annotated[ClipFileOptions, OmitArgPrefixes]
 ClipReading = Annotated[ClipOptions, OmitArgPrefixes]
 Searching = Annotated[SearchOptions, OmitArgPrefixes]
-Choice = Annotated[FinalChoice, Suppress]  # how a search chooses its result: a field without an option
 Folder = Annotated[FolderOptions, OmitArgPrefixes]
 Video = Annotated[VideoOptions, OmitArgPrefixes]
 
@@ -213,9 +211,7 @@ def recorded(command: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for field in dataclasses.fields(command):
         value = getattr(command, field.name)
-        if isinstance(value, FinalChoice):
-            continue
-        elif dataclasses.is_dataclass(value):
+        if dataclasses.is_dataclass(value):
             found |= recorded(value)
         else:
             found[field.name] = plain(value)

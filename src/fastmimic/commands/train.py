@@ -23,7 +23,7 @@ from fastmimic.simulation.conditions import parse_range
 
 if TYPE_CHECKING:
     from fastmimic.learning.learner import TrainingSettings
-    from fastmimic.learning.training import Advance, Evaluated
+    from fastmimic.learning.training import Advance
 
 PAPER_STEPS: Final = 100_000_000
 
@@ -90,7 +90,11 @@ class Train:
             if (out / CHECKPOINT).is_file():
                 note(f"to continue from the checkpoint: the same command with --out {out} --resume")
             raise
-        put(*_report(evaluations))
+        if evaluations:
+            best = max(evaluations, key=lambda e: e.reward + e.reward_perturbed)
+            perturbed = f"perturbed starts {best.reward_perturbed:.3f}, {best.fell_perturbed:.0%} fell"
+            fell = ", fell" if best.fell else ""
+            put(f"best evaluation, at {best.steps:,} steps: reward {best.reward:.3f}{fell}; {perturbed}")
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
 
 
@@ -120,14 +124,3 @@ def _progress() -> "Iterator[Callable[[Advance], None]]":
             tell(at.steps / at.total, text, line)
 
         yield report
-
-
-def _report(evaluations: "list[Evaluated]") -> list[str]:
-    if not evaluations:
-        return []
-    best = max(evaluations, key=lambda e: e.reward + e.reward_perturbed)
-    fell = ", fell" if best.fell else ""
-    return [
-        f"best evaluation, at {best.steps:,} steps: reward {best.reward:.3f}{fell}; perturbed starts"
-        f" {best.reward_perturbed:.3f}, {best.fell_perturbed:.0%} fell"
-    ]

@@ -14,7 +14,7 @@ from fastmimic.base.configuration import check, parameter
 from fastmimic.base.errors import ConfigError, LibraryError, OutputError, WorkerError
 from fastmimic.base.files import remove_file, write_text
 from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
-from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, Row, working
+from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, working
 from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
 from fastmimic.executors import Executor, Report
@@ -71,7 +71,7 @@ class Built:
     """Result of a build."""
 
     library: MotionDataset
-    table: Any  # the library's index, an Arrow table
+    table: Any  # the library's index, an Arrow table, including results of other builds
     surveys: list[Survey]
     ids: frozenset[str]  # of the records of the requested sources' jobs
     done: int  # number of jobs done now; the others were finished before
@@ -80,11 +80,6 @@ class Built:
     @property
     def jobs(self) -> int:
         return len(self.ids)
-
-    @cached_property
-    def rows(self) -> list[Row]:
-        """Rows of the index, including results of other builds."""
-        return list(self.table.to_pylist())
 
     @cached_property
     def failures(self) -> list[str]:

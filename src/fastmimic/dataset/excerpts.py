@@ -3,7 +3,6 @@
 import csv
 import fnmatch
 import io
-import json
 import os
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -72,7 +71,7 @@ class DatasetSource:
     @property
     def key(self) -> str:
         """12 hexadecimal digits that identify the source, independent of its content."""
-        return fingerprint(json.dumps(asdict(self), sort_keys=True).encode())[:12]
+        return fingerprint(asdict(self))[:12]
 
     def __str__(self) -> str:
         return self.place if self.frames is None else f"{self.place} {self.frames[0]}:{self.frames[1]}"

@@ -103,12 +103,12 @@ class BuildSettings(SearchSettings):
         """16 hexadecimal digits of all settings, including the content of a parameter file."""
         config = self.config if self.config in CONFIGS else "a file"
         said = {**self.as_dict(), "config": config, "over": {r.name: [r.lower, r.upper] for r in other_ranges()}}
-        return _digest({**self._search(), **said})
+        return fingerprint({**self._search(), **said})
 
     @cached_property
     def search_digest(self) -> str:
         """Digest of a search's settings without its length: a longer search resumes a shorter one's checkpoint."""
-        return _digest(self._search())
+        return fingerprint(self._search())
 
     def _search(self) -> dict[str, Any]:
         method = method_named(self.method)
@@ -119,10 +119,6 @@ class BuildSettings(SearchSettings):
             "objective": asdict(Objective(self.duration_s)),
             "population": self.population,
         }
-
-
-def _digest(said: dict[str, Any]) -> str:
-    return fingerprint(json.dumps(said, sort_keys=True).encode())
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,6 @@ Outcomes = Generator[JobOutcome, None, None]
 
 
 class Executor(Protocol):
-    @property
-    def workers(self) -> int:
-        """How many run at a time, as far as known beforehand."""
-
     def run(self, work: Work, jobs: Iterable[Any], progress: Told | None = None) -> Outcomes:
         """Runs `work` on all jobs, which can be pickled; yields each outcome as soon as it is there. Closing it, or
         Ctrl-C, stops what runs. `progress` is called with a job's index and finished share, before its outcome. Raises

@@ -29,7 +29,8 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import Report
 from fastmimic.experiments import measurement
 from fastmimic.experiments.ablations import ABLATIONS, ablation_named
-from fastmimic.experiments.measurement import EVALUATION_S, PERTURBED_EPISODES, Row
+from fastmimic.experiments.measurement import Row
+from fastmimic.imitation.evaluate import EVALUATION_S, PERTURBED_EPISODES
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.imitation.methods import METHODS, method_named
 from fastmimic.learning.policy import POLICY_FILE, Policy, controlled_by
@@ -145,7 +146,7 @@ def digest(
     }
     if policy is not None:
         said["policy"] = policy.digest
-    return fingerprint(robot.content, *arrays, json.dumps(said, sort_keys=True).encode())
+    return fingerprint(robot.content, *arrays, said)
 
 
 def perform(task: RunTask, report: Report) -> Row:

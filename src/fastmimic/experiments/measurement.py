@@ -12,10 +12,11 @@ from fastmimic.base.files import packaged
 from fastmimic.base.text import NONE, markdown_table, number, plain
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import TRACKED, Metrics, style_distance, swing_clearance
-from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, episode_duration, perturbed_start, start_room
+from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, episode_duration
 from fastmimic.episode.reward import REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.ablations import ABLATED, ablation_named
+from fastmimic.imitation.evaluate import EVALUATION_S, PERTURBED_EPISODES, unseen_start
 from fastmimic.imitation.imitate import Imitation, imitate
 from fastmimic.imitation.methods import METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
@@ -24,13 +25,10 @@ from fastmimic.robot.kinematics import foot_positions
 
 Row = dict[str, Any]
 
-EVALUATION_S: Final = 10.0
-PERTURBED_EPISODES: Final = 8
 _BEFORE: Final = ("reward_animal", "reward_mean", "fell", "foot_z_rmse_m", "foot_x_rmse_m")
 _STEPS: Final = ("drift_m_per_s", "mean_clearance_m", "early_contacts_per_s", "stance_slip_m")
 _NOMINAL: Final = (*_BEFORE, *_STEPS, *TRACKED)
 _PERTURBED: Final = ("reward_animal", "reward_mean", "reward_std", "fell", "success", "mpjpe_mm")
-_EVALUATION_SEED: Final = 20230617  # of the perturbed starts of every run; no optimisation uses it
 _OF_SEARCH: Final = ("config", "duration_s", "iterations", "population", "seed", "choice")
 _SHOWN_CYCLES: Final = 2
 _SHOWN_TRANSITION_S: Final = 2.0  # of a stitched motion
@@ -98,9 +96,7 @@ def measure(
 
     after = episodes(result.motion, log=True)
     before = episodes(demonstration, log=True) if method.optimises else after
-    rng = np.random.default_rng(_EVALUATION_SEED)
-    room = start_room(demonstration, seconds)
-    start = perturbed_start(perturbed_episodes + 1, room, rng).part(slice(1, None))
+    start = unseen_start(demonstration, seconds, perturbed_episodes).part(slice(1, None))
     nominal, unoptimised = Metrics.of(after), Metrics.of(before)
     perturbed = Metrics.of(episodes(result.motion, start=start))
     share = after.clearance[0] / swing_clearance(demonstration, robot.foot_radius)

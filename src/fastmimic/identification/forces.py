@@ -43,10 +43,9 @@ class GroundForces:
     need: Array  # (t,) vertical force that the robot without payload needs, N
     lift: Array  # (t,) vertical acceleration minus gravity's, which a payload on the trunk would share, m/s²
 
-    def force(self, gain: Array | None = None) -> Array:
+    def force(self, gain: Array | float = 1.0) -> Array:
         """(t, 4, 3) ground reaction force on each foot, N; `gain` (4, 3) is true over measured motor torque."""
-        torque = self.torque if gain is None else self.torque * gain
-        return np.asarray(np.einsum("tlij,tlj->tli", self.arm, self.free - torque))
+        return np.asarray(np.einsum("tlij,tlj->tli", self.arm, self.free - self.torque * gain))
 
 
 def ground_forces(log: RunLog, robot: Robot) -> GroundForces:

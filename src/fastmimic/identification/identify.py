@@ -131,10 +131,10 @@ def identify_friction(forces: GroundForces, robot: Robot) -> Friction:
     if len(events) < EVENTS:
         return nothing
 
-    def coefficient(gain: Array | None = None) -> float:
+    def coefficient(gain: Array | float) -> float:
         return _weighted_median(*_of_events(forces.force(gain), events))
 
-    value, rng = coefficient(), np.random.default_rng(0)
+    value, rng = coefficient(1.0), np.random.default_rng(0)
     ratios, weights = _of_events(forces.force(), events)
     drawn = rng.integers(len(events), size=(_RESAMPLED, len(events)))
     scatter = float(np.std([_weighted_median(ratios[d], weights[d]) for d in drawn]))
@@ -193,37 +193,38 @@ def _bound(forces: GroundForces, robot: Robot) -> float:
     if not held.any():
         return 0.0
 
-    def bound(gain: Array | None = None) -> float:
+    def bound(gain: Array | float) -> float:
         force = forces.force(gain)[held]
         return float(np.quantile(np.linalg.norm(force[:, :2], axis=-1) / np.maximum(force[:, 2], 1.0), HELD))
 
-    return max(0.0, bound() - 1.96 * _gain_error(bound, TORQUE_GAIN_ERROR, 4, 3))
+    return max(0.0, bound(1.0) - 1.96 * _gain_error(bound, TORQUE_GAIN_ERROR, 4, 3))
 
 
 def identify_payload(forces: GroundForces, robot: Robot, unloaded: GroundForces | None = None) -> Payload:
     """The mass that the feet bear beyond the robot's without payload; raises `LogError` if they stood too short.
     `unloaded` is from a run of the same robot without payload."""
-
-    def by_motors(gain: Array) -> float:
-        return float(np.median(_excess(forces, forces.force(gain)[..., 2])))
-
-    def by_sensors(gain: Array) -> float:
-        return float(np.median(_excess(forces, forces.sensed * gain)))
-
-    by_torque = float(np.hypot(_gain_error(by_motors, TORQUE_GAIN_ERROR, 4, 3), LEG_ERROR_KG))
-    found, spreads = [], []
-    for by_feet, error in ((False, by_torque), (True, _gain_error(by_sensors, FOOT_GAIN_ERROR, 4))):
-        mass, scatter = _weighed(forces, by_feet)
-        if unloaded is not None:
-            before, noise = _weighed(unloaded, by_feet)
-            mass = robot.mass * (robot.mass + mass) / (robot.mass + before) - robot.mass
-            scatter, error = float(np.hypot(scatter, noise)), TARED * (robot.mass + mass)
-        found.append(mass)
-        spreads.append(float(np.hypot(scatter, error)))
+    found, spreads = np.transpose([_weighed(forces, by_feet, robot, unloaded) for by_feet in (False, True)])
     weights = 1.0 / np.square(spreads)
     mass = float(np.average(found, weights=weights))
     spread = 1.96 * float(weights.sum() ** -0.5)
     return Payload(mass, mass - spread, mass + spread, unloaded is not None)
+
+
+def _weighed(forces: GroundForces, by_feet: bool, robot: Robot, unloaded: GroundForces | None) -> tuple[float, float]:
+    """The payload by the feet's sensors or by the motors' torques, and its standard deviation, kg."""
+    mass, scatter = _excess(forces, by_feet)
+    if unloaded is not None:
+        before, noise = _excess(unloaded, by_feet)
+        mass = robot.mass * (robot.mass + mass) / (robot.mass + before) - robot.mass
+        return mass, float(np.hypot(np.hypot(scatter, noise), TARED * (robot.mass + mass)))
+
+    def by_gain(gain: Array) -> float:
+        return _excess(forces, by_feet, gain)[0]
+
+    if by_feet:
+        return mass, float(np.hypot(scatter, _gain_error(by_gain, FOOT_GAIN_ERROR, 4)))
+    error = np.hypot(_gain_error(by_gain, TORQUE_GAIN_ERROR, 4, 3), LEG_ERROR_KG)
+    return mass, float(np.hypot(scatter, error))
 
 
 def _standing(forces: GroundForces) -> Flags:
@@ -236,15 +237,11 @@ def _standing(forces: GroundForces) -> Flags:
     return np.asarray(sure)
 
 
-def _excess(forces: GroundForces, vertical: Array) -> Array:
-    """Mass beyond the robot's in each sample in which it stands, kg, by the forces on loaded feet (t, 4), N."""
-    sure, borne = _standing(forces), vertical * forces.loaded
-    return np.asarray((borne[sure].sum(axis=1) - forces.need[sure]) / forces.lift[sure])
-
-
-def _weighed(forces: GroundForces, by_feet: bool) -> tuple[float, float]:
-    """Median mass beyond the robot's, by foot sensors or motor torques, and its deviation by the scatter, kg."""
-    mass = _excess(forces, forces.sensed if by_feet else forces.force()[..., 2])
+def _excess(forces: GroundForces, by_feet: bool, gain: Array | float = 1.0) -> tuple[float, float]:
+    """Median mass beyond the robot's while it stands, and its deviation by the scatter, kg."""
+    sure, vertical = _standing(forces), forces.sensed * gain if by_feet else forces.force(gain)[..., 2]
+    borne = (vertical * forces.loaded)[sure].sum(axis=1)
+    mass = (borne - forces.need[sure]) / forces.lift[sure]
     independent = max(1.0, len(mass) * forces.dt / _INDEPENDENT_S)
     scatter = 1.4826 * float(np.median(np.abs(mass - np.median(mass))))
     return float(np.median(mass)), 1.2533 * scatter / float(np.sqrt(independent))

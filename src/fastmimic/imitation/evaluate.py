@@ -11,7 +11,7 @@ from fastmimic.clips.clip import Clip
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import Metrics
-from fastmimic.episode.plan import default_duration, perturbed_start, start_room
+from fastmimic.episode.plan import Start, default_duration, perturbed_start, start_room
 from fastmimic.episode.rollout import Rollout, run_log
 from fastmimic.imitation.methods import RL, check_controller, controller_for
 from fastmimic.motion.motion import Motion
@@ -21,6 +21,8 @@ from fastmimic.runs.loading import load_motion
 from fastmimic.simulation.conditions import Conditions
 
 EVALUATION_S: Final = 10.0  # s, default for a motion that repeats
+PERTURBED_EPISODES: Final = 8  # of a comparison and of a training
+_UNSEEN_SEED: Final = 20230617
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,3 +111,9 @@ def evaluate(
         controller=controller,
     )
     return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
+
+
+def unseen_start(motion: Motion, seconds: float, perturbed: int) -> Start:
+    """A nominal start and so many perturbed ones, for episodes of that length: the same ones in every comparison and
+    training, which no optimisation uses."""
+    return perturbed_start(perturbed + 1, start_room(motion, seconds), np.random.default_rng(_UNSEEN_SEED))

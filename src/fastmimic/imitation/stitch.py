@@ -113,7 +113,7 @@ def stitch(
             imitated = time.perf_counter()
             parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, stage)
             elsewhere += time.perf_counter() - imitated
-        starts = [_values(parts[id(m)]) if id(m) in parts else parameters_of(m) for m in motions]
+        starts = [parameters_of(parts[id(m)].motion if id(m) in parts else m) for m in motions]
         group = needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts)
         whole = StitchedProblem(robot, demonstration, start=starts, config=config, group=group)
         given = whole.motion(whole.start)
@@ -146,11 +146,6 @@ def _load(sources: Sequence[str | Path | Clip | Motion | MotionSource], robot: R
     keys = [str(source) if isinstance(source, str | Path) else id(source) for source in sources]
     found = {key: load_motion(source, robot) for key, source in dict(zip(keys, sources, strict=True)).items()}
     return [found[key] for key in keys]
-
-
-def _values(found: Imitation) -> dict[str, float]:
-    """The optimised parameters by name."""
-    return {p.name: float(v) for p, v in zip(found.parameters, found.values, strict=True)}
 
 
 def _optimised_parts(

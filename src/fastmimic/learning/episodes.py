@@ -8,7 +8,7 @@ draws all random numbers in the order of the robots, so the results do not depen
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
 
@@ -30,7 +30,6 @@ from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_forward
 from fastmimic.robot.state import COMMAND, MEMORY
 from fastmimic.simulation.conditions import Disturbance, Range, draw_uniform
-from fastmimic.simulation.conditions import part as part_of
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
 from fastmimic.simulation.simulators import Placement
 
@@ -99,10 +98,10 @@ class Episodes:
         robots = draw_uniform(randomize, n, np.random.default_rng([seed, n]))
         bounds = np.linspace(0, n, min(threads, n) + 1).astype(int)
         self._parts = [slice(a, b) for a, b in pairwise(bounds)]
-        self._shards = [
-            Shard(robot, demonstration, self._table, part.stop - part.start, config, part_of(robots, part))
-            for part in self._parts
-        ]
+        self._shards = []
+        for part in self._parts:
+            own = tuple(replace(d, values=d.values[part]) for d in robots)
+            self._shards.append(Shard(robot, demonstration, self._table, part.stop - part.start, config, own))
         self._pool = ThreadPoolExecutor(len(self._parts)) if len(self._parts) > 1 else None
         self._seen = np.zeros((n, OBSERVATION_SIZE), np.float32)
         self._reward = np.zeros(n)

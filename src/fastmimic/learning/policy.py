@@ -100,8 +100,7 @@ class Policy:
     def digest(self) -> str:
         """16 hexadecimal digits of everything that determines its actions."""
         arrays = (*self.weights, *self.biases, self.mean, self.deviation)
-        meta = json.dumps(self._meta(), sort_keys=True).encode()
-        return fingerprint(meta, *(array.astype(np.float32) for array in arrays))
+        return fingerprint(self._meta(), *(array.astype(np.float32) for array in arrays))
 
     def network(self) -> Network:
         """The policy for the kernels, with its own work memory."""

@@ -17,7 +17,8 @@ from fastmimic.base.files import replace_file, write_text
 from fastmimic.base.machine import versions
 from fastmimic.base.text import csv_text, plain
 from fastmimic.episode.loop import run_episodes
-from fastmimic.episode.plan import episode_duration, perturbed_start, start_room
+from fastmimic.episode.plan import episode_duration
+from fastmimic.imitation.evaluate import EVALUATION_S, PERTURBED_EPISODES, unseen_start
 from fastmimic.learning.learner import Iteration, Learner, TrainingSettings
 from fastmimic.learning.policy import POLICY_FILE, Policy, controlled_by
 from fastmimic.motion.motion import Motion
@@ -32,9 +33,6 @@ _VERSION: Final = 2
 _FILES: Final = (CHECKPOINT, ONNX, EVALUATIONS, POLICY_FILE, f"{EVENTS}/events.out.tfevents.*")
 CHECKPOINT_S: Final = 60.0  # s of wall time between checkpoints
 EVALUATION_STEPS: Final = 500_000  # policy steps between evaluations
-EVALUATION_S: Final = 10.0
-PERTURBED_EPISODES: Final = 8
-_EVALUATION_SEED: Final = 20230617  # of the perturbed starts, as in a comparison
 
 
 @dataclass(frozen=True)
@@ -65,17 +63,6 @@ class TrainingFolder(WorkFolder):
         if not isinstance(state, dict) or state.get("version") != _VERSION:
             raise CheckpointError(f"{path}: not a checkpoint of this release; --overwrite starts anew")
         return state
-
-
-class Stopwatch:
-    """Wall and processor time of this process, added to earlier times."""
-
-    def __init__(self, wall_s: float = 0.0, cpu_s: float = 0.0) -> None:
-        self._wall_s, self._cpu_s = wall_s - time.perf_counter(), cpu_s - time.process_time()
-
-    def times(self) -> dict[str, float]:
-        """`wall_s` and `cpu_s` so far."""
-        return {"wall_s": self._wall_s + time.perf_counter(), "cpu_s": self._cpu_s + time.process_time()}
 
 
 @dataclass(frozen=True)
@@ -140,7 +127,8 @@ class _Training:
     episodes: int = 0
     evaluations: list[Evaluated] = field(default_factory=list)
     best: float = -math.inf
-    watch: Stopwatch = field(default_factory=Stopwatch)
+    began_wall_s: float = field(default_factory=time.perf_counter)  # as if it had never been interrupted
+    began_cpu_s: float = field(default_factory=time.process_time)
 
     @property
     def _steps(self) -> int:
@@ -176,7 +164,7 @@ class _Training:
 
     def _evaluate(self) -> Evaluated:
         policy, episodes = self.learner.policy(self._about()), self.learner.episodes
-        found = evaluate_policy(policy, episodes.robot, episodes.motion, self._steps, self.watch)
+        found = evaluate_policy(policy, episodes.robot, episodes.motion, self._steps, self._times())
         self.evaluations = [e for e in self.evaluations if e.steps != found.steps] + [found]
         worth = 0.5 * (found.reward + found.reward_perturbed)
         if worth > self.best:
@@ -199,7 +187,7 @@ class _Training:
                 "steps": self._steps,
                 "episodes": self.episodes,
                 "simulated_s": self._steps / self.learner.settings.policy.rate_hz,
-                **self.watch.times(),
+                **self._times(),
                 "device": self.learner.device,
                 "settings": plain(self.learner.settings),
             },
@@ -212,7 +200,7 @@ class _Training:
             "episodes": self.episodes,
             "evaluations": [asdict(e) for e in self.evaluations],
             "best": float(self.best),
-            **self.watch.times(),
+            **self._times(),
         }
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -220,15 +208,18 @@ class _Training:
         self.iterations, self.episodes = state["iterations"], state["episodes"]
         self.evaluations = [Evaluated(**e) for e in state["evaluations"]]
         self.best = state["best"]
-        self.watch = Stopwatch(state["wall_s"], state["cpu_s"])
+        self.began_wall_s = time.perf_counter() - state["wall_s"]
+        self.began_cpu_s = time.process_time() - state["cpu_s"]
+
+    def _times(self) -> dict[str, float]:
+        """Wall and processor time so far, s."""
+        return {"wall_s": time.perf_counter() - self.began_wall_s, "cpu_s": time.process_time() - self.began_cpu_s}
 
 
-def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, watch: Stopwatch) -> Evaluated:
-    """One nominal episode and several from the perturbed starts of a comparison."""
-    times = watch.times()
+def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, times: Mapping[str, float]) -> Evaluated:
+    """One nominal episode and several from the perturbed starts of a comparison; `times` are those of the training."""
     seconds = episode_duration(motion, EVALUATION_S)
-    room = start_room(motion, seconds)
-    start = perturbed_start(PERTURBED_EPISODES + 1, room, np.random.default_rng(_EVALUATION_SEED))
+    start = unseen_start(motion, seconds, PERTURBED_EPISODES)
     rollout = run_episodes(robot, motion, start=start, duration_s=seconds, controller=controlled_by(policy))
     return Evaluated(
         steps=steps,

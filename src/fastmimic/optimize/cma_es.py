@@ -170,12 +170,6 @@ def _is_better(gains: Array) -> bool:
     return bool(gains.mean() > 2 * error)
 
 
-def _step_size(settings: CmaSettings, start: float) -> float:
-    """The initial deviation of a search that begins at a score."""
-    tracked, share = _TRACKED
-    return settings.step_size * (share if start >= tracked else 1.0)
-
-
 class _Search:
     def __init__(self, problem: Problem, settings: CmaSettings, checkpoint: Path | None) -> None:
         self.problem, self.settings, self.checkpoint = problem, settings, checkpoint
@@ -197,7 +191,9 @@ class _Search:
         began = time.perf_counter()
         given = self.problem.evaluate(self.given)
         first = (self.problem.start - self.lower) / self.span
-        self.strategy = _make_strategy(first, _step_size(self.settings, float(given.max())), self.settings)
+        tracked, share = _TRACKED
+        step_size = self.settings.step_size * (share if given.max() >= tracked else 1.0)
+        self.strategy = _make_strategy(first, step_size, self.settings)
         before = self._replay(saved) if saved is not None else 0.0
         done_before = len(self.scores)
         interrupted = False

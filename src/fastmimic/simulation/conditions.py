@@ -7,7 +7,7 @@ A disturbance is a deviation from robot and ground of the optimisation, unknown 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Final
 
@@ -296,11 +296,6 @@ def other_robots(n: int) -> tuple[Disturbance, ...]:
         values = np.minimum(r.lower + (r.upper - r.lower) * share, r.upper)
         found.append(Disturbance(r.name, tuple(values.tolist())))
     return tuple(found)
-
-
-def part(robots: Sequence[Disturbance], rows: slice) -> tuple[Disturbance, ...]:
-    """Some of the robots."""
-    return tuple(replace(d, values=d.values[rows]) for d in robots)
 
 
 @dataclass(frozen=True)
