@@ -24,8 +24,10 @@ import numpy as np
 import fastmimic as fm
 from fastmimic import cli
 from fastmimic.base.registry import load_extensions
-from fastmimic.optimize.parameters import FinalChoice
 from fastmimic.steering import gait_field
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from searches import QUICK_CHOICE, quick_main
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
@@ -33,8 +35,6 @@ COLUMN_OF_POINT = (0, 3, 11, 6, 20, 16, 15, 10, 23, 19)
 """Which of a dog file's 27 points each of `POINT_NAMES` is."""
 LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library"}
 """Verbs that take long, wait for a user, or fetch."""
-CHOICE = FinalChoice(candidates=2, episodes=2, duration_s=0.4)
-"""How a search chooses its result here: quickly."""
 GAITS = gait_field.Grid((0.0, 1.0), (-0.4, 0.4), (2.0, 1.5))
 SLOW = gait_field.Grid((0.0, 0.6), (-0.2, 0.2), (1.0, 0.6))
 """The velocities of a steered robot here: few, those of the tests."""
@@ -81,7 +81,7 @@ def run_python(code: str) -> int:
 
 def shortly(search: Callable[..., Any], *sources: Any, **options: Any) -> Any:
     """A search of two small iterations."""
-    return search(*sources, **(options | {"iterations": 2, "population": 4, "choice": CHOICE}))
+    return search(*sources, **(options | {"iterations": 2, "population": 4, "choice": QUICK_CHOICE}))
 
 
 def run_bash(code: str) -> int:
@@ -145,7 +145,7 @@ def fastmimic(arguments: list[str]) -> int:
         rest += ["--duration", "1.5" if "--log" in rest else "0.5"]
     if verb == "deploy":
         rest += ["--lock-step", "--duration", "1.5"]
-    return cli.main([verb, *rest], without_option={"choice": CHOICE})
+    return quick_main([verb, *rest])
 
 
 def say(text: str) -> None:
