@@ -77,19 +77,22 @@ def test_it_walks_where_it_is_slow_and_trots_where_it_is_fast(gaits: GaitField) 
     run(steered, 1.5)
     assert steered.state == "walk"
     steered.steer(np.array([0.9, 0.0, 0.3]))
-    up, _, feet = run(steered, 2.0)
+    up, _, feet_up = run(steered, 2.0)
     assert steered.state == "trot"
     np.testing.assert_allclose(steered.place["velocity"][0], [0.9, 0.0, 0.3], atol=0.01)
     steered.steer(np.array([0.4, 0.0, 0.0]))
-    down, _, _ = run(steered, 2.0)
+    down, _, feet_down = run(steered, 2.0)
     assert steered.state == "walk"
-    for rows in (up, down):
+    for rows, feet in ((up, feet_up), (down, feet_down)):
         assert np.abs(np.diff(rows["joint_pos"], axis=0)).max() / DT < 1.2 * gaits.robot.joint_speed_limit.max()
         assert np.abs(np.diff(rows["root_pos"][:, 2])).max() < 1e-3  # m: nothing jumps
         same = (rows["contact"][1:] == rows["contact"][:-1]).all(axis=1)
         assert np.flatnonzero(~same)[1:].size > 4  # feet go on stepping
-    stands = (up["contact"][:-1] == 1) & (up["contact"][1:] == 1)
-    assert np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1)[stands].max() < 1e-3
+        stood, stands = rows["contact"][:-1] == 1, rows["contact"][1:] == 1
+        assert np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1)[stood & stands].max() < 1e-3
+        lands = ~stood & stands
+        assert (feet[:-1, :, 2][lands] - gaits.robot.foot_radius).max() < 2e-3  # m: no foot is made to stand in the air
+        assert np.diff(feet[..., 2], axis=0)[lands].min() / DT > -0.2  # m/s
 
 
 def test_a_stick_that_trembles_at_the_walks_top_speed_does_not_change_the_gait(gaits: GaitField) -> None:

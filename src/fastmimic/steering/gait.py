@@ -13,8 +13,8 @@ LANDED: Final = 0.95  # share of a swing at whose end its foot is where the gait
 _LOW_M: Final = 0.002
 SPARE: Final = 1.1  # of a velocity that a slower gait takes over, so that a trembling stick changes nothing
 _ENOUGH_S: Final = 0.15  # time until a foot that stands lifts off that is as good as more
-_NOW_S: Final = 0.03  # time from a change that a foot may make at once
-_SWITCH: Final = 3.0  # weight of that time
+_LATE_S: Final = 0.03  # by which a foot may lift off later, at once
+_NEVER: Final = 1.0  # s: more than all that may be
 _NEARLY: Final = 1.5  # a moment is good whose cost is at most so many times the least one
 _SMALL: Final = 1e-4  # and so much more, s²
 _COLUMNS: Final = (
@@ -48,22 +48,17 @@ class Gait:
     def rows_from(self, other: "Gait") -> NDArray[np.int64]:
         """For each row of another gait (m,) the row of this one to go over to; -1 where it is better to wait.
 
-        The same feet should stand, and land and lift off as soon. A foot may lift off or land at that moment, if it
-        would have done so about then."""
+        The same feet should stand, and land and lift off as soon. A foot may lift off at that moment, if the other gait
+        has it do so just before; none lands, as it would land hard."""
         before, after = other.contact[:, None] != 0, self.contact[None] != 0
         changes_s, changed_s, since_s = self._change_s[None], other._change_s[:, None], self._since_s[None]
         apart = changes_s - changed_s
         apart = np.where(before & after, np.minimum(changes_s, _ENOUGH_S) - np.minimum(changed_s, _ENOUGH_S), apart)
-        apart = np.where(before & ~after, _at_once(since_s), apart)
-        apart = np.where(~before & after, _at_once(changed_s), apart)
+        apart = np.where(before & ~after, np.where(since_s > _LATE_S, _NEVER, since_s), apart)
+        apart = np.where(~before & after, _NEVER, apart)
         cost = (apart**2).sum(axis=-1)
         least = cost.min(axis=1)
         return np.where(least <= _NEARLY * least.min() + _SMALL, cost.argmin(axis=1), -1)
-
-
-def _at_once(time_s: Array) -> Array:
-    """What it costs that a foot lifts off so much later, or lands so much earlier, than it would have, s."""
-    return np.where(time_s > _NOW_S, 1.0 + time_s, _SWITCH * time_s)
 
 
 def _rows_until(events: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -23,12 +23,12 @@ _FADE_S: Final = 0.25  # in which the difference of two gaits fades
 
 _TURN, _HEIGHT, _TILT, _MOTION, _FOOT, ROLL = 2, 3, slice(4, 8), 8, 26, 38  # columns of a gait's values
 WIDTH: Final = 46
-FEET: Final = np.array([[_FOOT + 3 * leg, _FOOT + 3 * leg + 1] for leg in range(4)])
+FEET: Final = slice(_FOOT, _FOOT + 12)
 
 STEERED: Final = record_dtype(
     [
         *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=(), fades=(), offset=WIDTH),
-        *floats(foothold=(4, 2), away=(4, 2), lifted=(4, 2), leaving=(4, 2), since=4, lasts=4),
+        *floats(foothold=(4, 2), away=(4, 3), lifted=(4, 3), leaving=(4, 3), since=4, lasts=4),
         *floats(before=(4, 3), feet=(4, 3)),
         *integers(swings=4, standing=(), synced=()),
     ]
@@ -110,6 +110,7 @@ def _feet(schedule: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
             ax, ay = cos * dx + sin * dy - x, -sin * dx + cos * dy - y
             s.leaving[leg, 0], s.leaving[leg, 1] = (ax - s.away[leg, 0]) / work.dt, (ay - s.away[leg, 1]) / work.dt
             s.away[leg, 0], s.away[leg, 1] = ax, ay
+            s.leaving[leg, 2] = s.away[leg, 2] = 0.0
         else:
             if s.swings[leg] == 0:
                 s.swings[leg], s.since[leg] = 1, 0.0
@@ -118,14 +119,14 @@ def _feet(schedule: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
             u = min(s.since[leg] / s.lasts[leg], 1.0)
             moved = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
             going = u * (1.0 - u) ** 3 * (1.0 + 3.0 * u) * s.lasts[leg]  # begins with slope 1 in time
-            for k in range(2):
-                goal = -lean * s.rate[k]
+            for k in range(3):
+                goal = -lean * s.rate[k] if k < 2 else 0.0
                 s.away[leg, k] = (1.0 - moved) * s.lifted[leg, k] + going * s.leaving[leg, k] + moved * goal
             s.since[leg] += dt
     for leg in range(4):
         copy(s.feet[leg], s.before[leg])
         for k in range(3):
-            s.feet[leg, k] = mixture.values[_FOOT + 3 * leg + k] + (s.away[leg, k] if k < 2 else 0.0)
+            s.feet[leg, k] = mixture.values[_FOOT + 3 * leg + k] + s.away[leg, k]
         to_body(mixture.tilt, mixture.tilt, 0.0, mixture.values[_HEIGHT], work.tilt, s.feet[leg])
 
 

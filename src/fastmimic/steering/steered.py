@@ -6,8 +6,9 @@ against that (the lean of an inverted pendulum). So the velocity can change at a
 wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands when all feet do.
 
 Where a field has a slower gait that can do what is wanted, such as a walk, the robot goes over to it, and back, at the
-next moment at which the same feet stand in both. Feet go on from where they are, and what else differs fades (as in
-games: Bollo 2018, "Inertialization"). A gait that cannot be slow is entered and left by the field's passages.
+next moment at which the same feet stand in both. Feet go on from where they are, none lands by the change, and what
+else differs fades (as in games: Bollo 2018, "Inertialization"). A gait that cannot be slow is entered and left by the
+field's passages.
 """
 
 from itertools import pairwise, permutations
@@ -173,16 +174,16 @@ class Steered:
         self._scratch[0] = place
         advance(*self._gait.given, scratch, *self._work, 1.0)
         before, after = self._values(place), self._values(scratch)
-        feet = before[FEET] + place["away"]
-        speed = (after[FEET] + scratch["away"] - feet) * RATE_HZ
+        feet = before[FEET].reshape(4, 3) + place["away"]
+        speed = (after[FEET].reshape(4, 3) + scratch["away"] - feet) * RATE_HZ
         self._gait, place["position"], place["fades"] = gait, row, 0.0
         self._scratch[0] = place
         scratch["position"] = (row + 1) % gait.n
         own, then = self._values(place), self._values(scratch)
         place["offset"][:ROLL] = (before - own)[:ROLL]
         place["offset"][FEET], place["fades"] = 0.0, 1.0
-        place["away"] = feet - own[FEET]
-        place["lifted"], place["leaving"] = place["away"], speed - (then - own)[FEET] * RATE_HZ
+        place["away"] = feet - own[FEET].reshape(4, 3)
+        place["lifted"], place["leaving"] = place["away"], speed - (then - own)[FEET].reshape(4, 3) * RATE_HZ
         place["wanted"] = gait.field.nearest(self._asked)
         place["since"], place["lasts"] = 0.0, LANDED * np.maximum(gait.until[row], 1) / RATE_HZ
 
