@@ -55,7 +55,8 @@ def withstood(robot: str, observe: str, motion: str, episodes: int) -> dict[str,
     """The share of episodes without a fall and the reward against the animal under each disturbance."""
     found = {}
     for disturbance in DISTURBANCES:
-        conditions = fm.Conditions(observe=observe, disturbances=(disturbance,))
+        as_text: Any = (disturbance,)
+        conditions = fm.Conditions(observe=observe, disturbances=as_text)
         figures = fm.evaluate(motion, robot, conditions=conditions, episodes=episodes).as_dict()
         found[disturbance] = {"up": 1.0 - figures["fell"], "reward_animal": figures["reward_animal"]}
     return found

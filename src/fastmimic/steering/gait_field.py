@@ -139,14 +139,16 @@ class GaitField:
 
     def has(self, velocity: Array) -> bool:
         """Whether it has a velocity (3,), but for what nobody sees."""
-        return bool(np.abs(self.nearest(velocity) - velocity).max() < _SEEN)
+        nearest, wanted = self.nearest(velocity).tolist(), velocity.tolist()
+        return all(abs(a - b) < _SEEN for a, b in zip(nearest, wanted, strict=True))
 
     def nearest(self, velocity: Array) -> Array:
         """The velocity (3,) of this gait that is nearest to one: forwards, to the left, m/s, and turning, rad/s."""
-        forwards = np.clip(velocity[0], self.forwards[0], self.forwards[-1])
-        sideways = np.clip(velocity[1], self.sideways[0], self.sideways[-1])
+        wanted = velocity.tolist()  # of so few numbers arrays would take four times as long, in each control step
+        forwards = min(max(wanted[0], self.forwards[0]), self.forwards[-1])
+        sideways = min(max(wanted[1], self.sideways[0]), self.sideways[-1])
         most = np.interp(forwards, self.forwards, self.turning)
-        return np.array([forwards, sideways, np.clip(velocity[2], -most, most)])
+        return np.array([forwards, sideways, min(max(wanted[2], -most), most)])
 
     def ends(self) -> Array:
         """The least and the greatest velocities of all gaits (2, 3)."""
