@@ -152,9 +152,12 @@ class TestEpisode:
             assert same(single.run(None, start.part(slice(i, i + 1)), STEPS), logged, rows_b=slice(i, i + 1))
 
     def test_an_episode_depends_on_nothing_that_came_before(
-        self, loop: ClosedLoop, motion: Motion, start: Start, logged: Rollout
+        self, loop: ClosedLoop, robot: Robot, start: Start, logged: Rollout
     ) -> None:
         loop.run(None, thrown(3), 200)
+        loop.run([gait(robot)], start, 1)
+        with pytest.raises(MotionError):
+            loop.run([gait(robot, n_samples=200)], start, 1)
         assert same(loop.run(None, start, STEPS), logged)
 
     def test_threads_of_the_simulation_change_nothing(

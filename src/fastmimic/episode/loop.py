@@ -85,6 +85,7 @@ class ClosedLoop:
             if controller is None
             else controller(robot, demonstration, n, config)
         )
+        self._gains = self.controller.gains if isinstance(self.controller, Controller) else np.zeros(0)
         self.simulation = make_simulation(robot, n, self.conditions, control_rate_hz=config.rate_hz, threads=threads)
         self.terrain = self.conditions.ground
         senses = self.conditions.observe == "sensors"
@@ -144,7 +145,7 @@ class ClosedLoop:
         """Begins n episodes: puts the robots where the demonstration is; arguments and errors as for `run`."""
         if start.n != self.n:
             raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
-        self.controller.tables = self._tables(references)
+        self._follow(references)
         place_clocks(self.clocks, start.sample, self.table, self._begin(start))
         told = on_reference(self.table, start.sample, self.clocks["origin"])
         joints = np.clip(told.joint_pos + start.joint_offset, self.robot.joint_lower, self.robot.joint_upper)
@@ -201,26 +202,28 @@ class ClosedLoop:
         seen = observer.reset(self.simulation.observation, known, planned, start.streams, self.clocks)
         return seen, observer.clocks
 
-    def _tables(self, references: Sequence[Motion] | NDArray[Any] | None) -> NDArray[Any]:
-        """The controller's tables, (1 or n, t) of `SAMPLE`, in step with the demonstration."""
-        if references is None:
-            return self.table[None]
+    def _follow(self, references: Sequence[Motion] | NDArray[Any] | None) -> None:
+        """Gives the controller references, those of the demonstration for None, in step with it, and a model-based
+        controller their gains; those of tables are the demonstration's."""
+        controller, gains, tables = self.controller, self._gains, self.table[None]
         if isinstance(references, np.ndarray):
             tables = references
-        else:
+        elif references is not None:
             for motion in references:
-                motion.check_rate(self.controller.config.rate_hz)
-            robot = loaded_robot(self.robot, self.controller.config.load)
+                motion.check_rate(controller.config.rate_hz)
+            robot = loaded_robot(self.robot, controller.config.load)
             tables = stack_tables(references, robot)
-            if isinstance(self.controller, Controller):
-                gains = [gains_of(motion, robot, self.controller.config) for motion in references]
-                self.controller.gains = np.stack(gains[:1] if all(each is gains[0] for each in gains) else gains)
+            if isinstance(controller, Controller):
+                each = [gains_of(motion, robot, controller.config) for motion in references]
+                gains = np.stack(each[:1] if all(own is each[0] for own in each) else each)
         if len(tables) not in (1, self.n):
             raise ConfigError(f"{self.n} robots need 1 or {self.n} references, found {len(tables)}")
         if (n := tables.shape[1]) != (due := len(self.table)):
             said = f"the reference has {n} samples and the demonstration '{self.demonstration.name}' {due}"
             raise MotionError(f"{said}; a reference must keep the demonstration's period")
-        return tables
+        controller.tables = tables
+        if isinstance(controller, Controller):
+            controller.gains = gains
 
 
 def _travel(table: NDArray[Any]) -> float:
