@@ -189,3 +189,15 @@ def test_a_robot_that_is_put_somewhere_forgets_its_passage(gaits: GaitField) -> 
     assert steered.state == "standing"
     run(steered, 1.5)
     assert steered.state == "trot"
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.4, -2.0), (0.12, 0.38, -1.55), (0.0, -0.4, 1.0)])
+def test_legs_go_no_farther_while_the_velocity_changes_than_afterwards(
+    gaits: GaitField, velocity: tuple[float, float, float]
+) -> None:
+    """The hip of an A1's hind leg came to the end of its range, and the robot fell."""
+    steered, robot = Steered(gaits), gaits.robot
+    steered.steer(np.array(velocity))
+    joints = run(steered, 3.0)[0]["joint_pos"]
+    room = np.minimum(joints - robot.joint_lower, robot.joint_upper - joints)[:, ::3].min(axis=1)
+    assert room[: 2 * round(RATE_HZ)].min() > 0.9 * room[2 * round(RATE_HZ) :].min()

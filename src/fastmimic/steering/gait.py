@@ -38,7 +38,8 @@ class Gait:
         self.field, self.gains = field, field.gains.reshape(-1)
         self.contact = np.ascontiguousarray(middle["contact"])
         self.until = _rows_until(self.contact != 0)
-        schedule = self.contact, self.until, _stops(self.contact, middle["foot"][..., 2].max(axis=-1))
+        stops = _stops(self.contact, middle["foot"][..., 2].max(axis=-1))
+        schedule = self.contact, self.until, stops, (self.contact != 0).sum(axis=0) / RATE_HZ
         self.given = (field.forwards, field.sideways, field.turning), values, schedule, field.gains.shape[1]
         stands = self.contact != 0
         # s until a foot lands or lifts off, and since it did

@@ -19,6 +19,9 @@ _SETTLE_S: Final = 0.15  # time constant of the last approach to the wanted velo
 _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is below that can stand
 _STAND_S: Final = 0.15  # between a gait and standing
 _CENTRED_S: Final = 0.3  # time constant with which a standing trunk moves to the middle of its feet
+_GOAL_S: Final = 0.03  # time constant with which a swinging foot takes up another goal
+_AHEAD_S: Final = 0.01  # step in which the velocity is foreseen
+_STEADY: Final = 1e-3  # m/s, m/s² and rad: a velocity that does not change
 _FADE_S: Final = 0.25  # in which the difference of two gaits fades
 
 _TURN, _HEIGHT, _TILT, _MOTION, _FOOT, ROLL = 2, 3, slice(4, 8), 8, 26, 38  # columns of a gait's values
@@ -28,7 +31,7 @@ FEET: Final = slice(_FOOT, _FOOT + 12)
 STEERED: Final = record_dtype(
     [
         *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=(), fades=(), offset=WIDTH),
-        *floats(foothold=(4, 2), away=(4, 3), lifted=(4, 3), leaving=(4, 3), since=4, lasts=4),
+        *floats(foothold=(4, 2), away=(4, 3), lifted=(4, 3), leaving=(4, 3), goal=(4, 3), since=4, lasts=4),
         *floats(before=(4, 3), feet=(4, 3)),
         *integers(swings=4, standing=(), synced=()),
     ]
@@ -40,7 +43,7 @@ distances moved by synchronisation, m; the `offset` of the gait before from the 
 m, and how far when it lifted off, `leaving` at so many m/s; the time since then and until it is where the gaits have
 it, s; where the `feet` are, and were `before` the last step, body frame, m."""
 
-MIXTURE: Final = record_dtype([*floats(weight=9, values=WIDTH, tilt=4), *integers(gait=9)])
+MIXTURE: Final = record_dtype([*floats(weight=9, values=WIDTH, tilt=4, ahead=(2, 3)), *integers(gait=9)])
 
 
 @inlined
@@ -91,10 +94,29 @@ def mix(grid: Any, values: Array, s: Any, mixture: Any) -> None:
         mixture.tilt[column - 4] = mixture.values[column] / np.sqrt(norm)
 
 
+@inlined
+def _foresee(s: Any, top: float, land: float, stays: float, out: Any) -> None:
+    """Of a stance that begins in `land` s, and lasts for so many: `out` (2, 3) is how much faster the trunk will be a
+    third into it, and its mean acceleration."""
+    for k in range(3):
+        out[0, k] = out[1, k] = 0.0
+        if abs(s.rate[k]) < _STEADY and abs(s.wanted[k] - s.velocity[k]) < _STEADY:
+            continue
+        velocity = lands = third = s.velocity[k]
+        rate = s.rate[k]
+        for i in range(int((land + stays) / _AHEAD_S)):
+            velocity, rate = _nearer(k, velocity, rate, s.wanted[k], top, _AHEAD_S)
+            if (i + 1) * _AHEAD_S <= land:
+                lands = velocity
+            if (i + 1) * _AHEAD_S <= land + stays / 3.0:
+                third = velocity
+        out[0, k], out[1, k] = third - s.velocity[k], (velocity - lands) / stays
+
+
 @kernel
-def _feet(schedule: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
+def _feet(schedule: Any, top: float, s: Any, mixture: Any, work: Any, dt: float) -> None:
     """Moves the feet by `dt` s of the gaits' time, with the root and the mixture as they are now."""
-    contact, until, _ = schedule
+    contact, until, _, stances = schedule
     row = int(s.position) % contact.shape[0]
     cos, sin = np.cos(s.pose[2]), np.sin(s.pose[2])
     lean = mixture.values[_HEIGHT] / GRAVITY
@@ -119,9 +141,15 @@ def _feet(schedule: Any, s: Any, mixture: Any, work: Any, dt: float) -> None:
             u = min(s.since[leg] / s.lasts[leg], 1.0)
             moved = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
             going = u * (1.0 - u) ** 3 * (1.0 + 3.0 * u) * s.lasts[leg]  # begins with slope 1 in time
+            _foresee(s, top, max(s.lasts[leg] - s.since[leg], 0.0), stances[leg], mixture.ahead)
+            faster, rate = mixture.ahead[0], mixture.ahead[1]
+            gx = 0.5 * stances[leg] * (faster[0] - y * faster[2]) - lean * rate[0]
+            gy = 0.5 * stances[leg] * (faster[1] + x * faster[2]) - lean * rate[1]
+            share = min(dt / _GOAL_S, 1.0) if s.since[leg] > 0.0 else 1.0
+            s.goal[leg, 0] += share * (gx - s.goal[leg, 0])
+            s.goal[leg, 1] += share * (gy - s.goal[leg, 1])
             for k in range(3):
-                goal = -lean * s.rate[k] if k < 2 else 0.0
-                s.away[leg, k] = (1.0 - moved) * s.lifted[leg, k] + going * s.leaving[leg, k] + moved * goal
+                s.away[leg, k] = (1.0 - moved) * s.lifted[leg, k] + going * s.leaving[leg, k] + moved * s.goal[leg, k]
             s.since[leg] += dt
     for leg in range(4):
         copy(s.feet[leg], s.before[leg])
@@ -142,8 +170,8 @@ def put(grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture: An
         x, y = mixture.values[_FOOT + 3 * leg], mixture.values[_FOOT + 3 * leg + 1]
         s.foothold[leg, 0] = s.pose[0] + cos * x - sin * y
         s.foothold[leg, 1] = s.pose[1] + sin * x + cos * y
-    _feet(schedule, s, mixture, work, 0.0)
-    _feet(schedule, s, mixture, work, 0.0)
+    _feet(schedule, grid[0][-1], s, mixture, work, 0.0)
+    _feet(schedule, grid[0][-1], s, mixture, work, 0.0)
 
 
 @kernel
@@ -187,22 +215,28 @@ def advance(grid: Any, values: Array, schedule: Any, gains: int, s: Any, mixture
             still = still and abs(s.velocity[k]) < 2.0 * _STILL[k]
         if still and schedule[2][int(s.position) % values.shape[1]] == 1:
             s.standing = 1
-    _feet(schedule, s, mixture, work, tempo * dt)
+    _feet(schedule, grid[0][-1], s, mixture, work, tempo * dt)
 
 
 @kernel
 def _change_velocity(s: Any, top: float, dt: float) -> None:
-    """Brings the velocity nearer to the wanted one; a standing robot has none. Near a gait's `top` speed forwards, m/s,
-    where legs are nearly stretched, it accelerates less."""
+    """Brings the velocity nearer to the wanted one; a standing robot has none."""
     for k in range(3):
-        most = _ACCELERATION[k]
-        fast = min(max(2.5 * s.velocity[0] / top - 1.25, 0.0), 1.0) if k == 0 else 0.0
-        rate = min(max((s.wanted[k] - s.velocity[k]) / _SETTLE_S, -most), (1.0 - _STRETCHED * fast) * most)
-        change = most / _JERK_S * dt
-        s.rate[k] += min(max(rate - s.rate[k], -change), change)
-        s.velocity[k] += s.rate[k] * dt
+        s.velocity[k], s.rate[k] = _nearer(k, s.velocity[k], s.rate[k], s.wanted[k], top, dt)
         if s.stands > 0.0:
             s.rate[k], s.velocity[k] = 0.0, 0.0
+
+
+@inlined
+def _nearer(k: int, velocity: float, rate: float, wanted: float, top: float, dt: float) -> tuple[float, float]:
+    """One axis of the velocity, and its rate, after so many seconds. Near a gait's `top` speed forwards, m/s, where
+    legs are nearly stretched, it accelerates less."""
+    most = _ACCELERATION[k]
+    fast = min(max(2.5 * velocity / top - 1.25, 0.0), 1.0) if k == 0 else 0.0
+    due = min(max((wanted - velocity) / _SETTLE_S, -most), (1.0 - _STRETCHED * fast) * most)
+    change = most / _JERK_S * dt
+    rate += min(max(due - rate, -change), change)
+    return velocity + rate * dt, rate
 
 
 @kernel

@@ -1,9 +1,10 @@
 """The reference of a steered robot: gaits of a field mixed by the velocity, step by step.
 
 A foot that stands keeps its place in the world, whatever the trunk does, but for rolling as its ball does. One that
-swings leaves from there and comes to where the present mixture of gaits has it; while the robot accelerates, a little
-against that (the lean of an inverted pendulum). So the velocity can change at any moment, and no foot slides. The
-wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the robot stands when all feet do.
+swings leaves from there and comes to where the mixture of gaits has it for the velocity foreseen in its next stance;
+while the robot accelerates, a little against that (the lean of an inverted pendulum). So the velocity can change at any
+moment, and no foot slides. The wanted velocity is approached with bounded acceleration and jerk. If none is wanted, the
+robot stands when all feet do.
 
 Where a field has a slower gait that can do what is wanted, such as a walk, the robot goes over to it, and back, at the
 next moment at which the same feet stand in both. Feet go on from where they are, none lands by the change, and what
