@@ -4,7 +4,8 @@ The gait planner is a state machine per leg over contact schedule and measured c
 schedule says so (take-off), or when it bears nothing for a while in scheduled stance, though it is asked to or the
 ground is rough, where it may have missed it (early take-off). It enters stance when the schedule says so (touch-down),
 or when it meets the ground late in a scheduled swing (early touch-down). Two switches of a leg are at least
-`min_switch_time` apart.
+`min_switch_time` apart, but for scheduled take-offs: a leg that has only just stood again, and waits, swings late and
+along the ground.
 
 All vectors are in the heading frame (world frame turned by the robot's yaw), so that gains keep their meaning in turns.
 """
@@ -56,11 +57,9 @@ def plan_leg(config: Any, memory: Any, leg: int, wanted: bool, swung: float, for
         lost = memory.was_loaded[leg] == 1 and memory.missed_time[leg] >= config.early_takeoff_time
         if wanted:
             memory.early[leg] = 0
-            leave = lost
-        else:
-            # after an early touch-down the leg stands until the schedule agrees, unless it comes free again
-            leave = lost or memory.early[leg] == 0
-        if leave and may_switch:
+        # after an early touch-down the leg stands until the schedule agrees, unless it comes free again
+        due = not wanted and memory.early[leg] == 0
+        if due or (lost and may_switch):
             _switch(memory, leg, 0)
             return True
     elif may_switch and (wanted or (loaded and swung >= config.early_touchdown_from)):
