@@ -28,6 +28,10 @@ LEAST_FRICTION: Final = 0.2  # that is assumed
 RETURNS: Final = 50.0  # times as slowly as it falls
 ROUGH_DAMPING: Final = 0.3  # share of their damping that joints of a loaded leg keep on rough ground
 UNLOADED_S: Final = 0.01  # in which a foot that stands has met the ground
+CAUGHT_S: Final = 0.02  # after its lift-off a swinging foot that bears weight has caught on the ground
+CAUGHT_RISE: Final = 1.0  # m/s with which it is raised then,
+CAUGHT_SINK: Final = 0.5  # m/s with which it comes down again,
+CAUGHT_M: Final = 0.05  # and as far as it is raised at most
 RISING_M: Final = 0.03  # height of a foot from which it is lifted all of what it has to be
 
 
@@ -200,13 +204,17 @@ def feel_for_ground(config: Any, memory: Any, leg: int) -> tuple[float, float, f
 
 
 @inlined
-def lift_over(config: Any, model: Any, memory: Any, scratch: Any, height: float, target: Array) -> None:
-    """Lifts a foot's target (3,), body frame, of a robot at a height, m, higher where the feet stand off the plane."""
+def lift_over(config: Any, model: Any, obs: Any, memory: Any, scratch: Any, leg: int, target: Array) -> None:
+    """Lifts a swinging foot's target (3,), body frame, higher where the feet stand off the plane; and one that has
+    caught on the ground, as animals do that stumble: pulled along, it would throw the robot over."""
+    caught = obs.foot_force[leg, 2] > config.contact_threshold and memory.since_switch[leg] > CAUGHT_S
+    change = CAUGHT_RISE if caught else -CAUGHT_SINK
+    memory.raised[leg] = min(max(memory.raised[leg] + config.dt * change, 0.0), CAUGHT_M)
     rough = _beyond(memory.roughness, SMALL_HEIGHT_M) * memory.roughness
-    if rough == 0.0:
+    if rough == 0.0 and memory.raised[leg] == 0.0:
         return
     up = scratch.rotation[2]
-    above = height + up[0] * target[0] + up[1] * target[1] + up[2] * target[2] - model.foot_radius
-    more = config.rough_lift * rough * min(max(above / RISING_M, 0.0), 1.0)
+    above = obs.root_pos[2] + up[0] * target[0] + up[1] * target[1] + up[2] * target[2] - model.foot_radius
+    more = config.rough_lift * rough * min(max(above / RISING_M, 0.0), 1.0) + memory.raised[leg]
     for k in range(3):
         target[k] += more * up[k]

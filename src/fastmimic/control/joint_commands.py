@@ -167,7 +167,7 @@ def swing_leg(config: Any, model: Any, obs: Any, ref: Any, memory: Any, command:
             for a in range(2):
                 target[k] += scratch.rotation[a, k] * (memory.foot_shift[leg, a] + scratch.lean[a])
         if config.follow_ground == 1:
-            lift_over(config, model, memory, scratch, obs.root_pos[2], target)
+            lift_over(config, model, obs, memory, scratch, leg, target)
         keep_in_reach(config, model, scratch.rotation, leg, target)
     else:
         for k in range(2):

@@ -75,6 +75,7 @@ def _switch(memory: Any, leg: int, stance: int) -> None:
     memory.stance[leg] = stance
     memory.since_switch[leg] = 0.0
     memory.was_loaded[leg] = 0
+    memory.raised[leg] = 0.0
     if stance == 0:
         memory.early[leg] = 0
 

@@ -39,7 +39,7 @@ MEMORY: Final = record_dtype(
         *floats(since_switch=4, unloaded_time=4, missed_time=4, liftoff_offset=(4, 3), force=(4, 3)),
         *floats(foot_shift=(4, 2), foot_shift_rate=(4, 2), haste=(), lag=(4, 2), velocity=6, expected=6, disturbance=6),
         *floats(urgency=(), since_recovery=(), calm=()),
-        *floats(foothold=(4, 3), slope=2, ground=(), ground_at=2, roughness=()),
+        *floats(foothold=(4, 3), slope=2, ground=(), ground_at=2, roughness=(), raised=4),
         *integers(qp_failures=(), failed_in_a_row=(), horizon_failures=()),
         *floats(solve_time=(), friction=(), slid=4),
         *integers(early_touchdowns=()),
@@ -53,8 +53,8 @@ beyond one in a control step (or `taken_up_at`), and `lag` is how far a standing
 it, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's `velocity` (in the
 ground's frame) and `expected` acceleration (heading frame) of the last step, linear and angular, tell the
 `disturbance`. The `foothold` of each foot (world, m) gives the ground's `slope`, its height where the robot is
-(`ground`) and its `roughness`, m. `friction` is the coefficient assumed at present, 0 before the first step, and `slid`
-how far each foot has slid without a pause, m."""
+(`ground`) and its `roughness`, m; `raised` is how far swinging feet are that caught on it, m. `friction` is the
+coefficient assumed at present, 0 before the first step, and `slid` how far each foot has slid without a pause, m."""
 
 MODEL: Final = record_dtype(
     [

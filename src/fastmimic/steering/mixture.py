@@ -19,6 +19,7 @@ _SETTLE_S: Final = 0.15  # time constant of the last approach to the wanted velo
 _STILL: Final = (0.05, 0.05, 0.1)  # m/s, m/s, rad/s: a robot whose velocity is below that can stand
 _STAND_S: Final = 0.15  # between a gait and standing
 _CENTRED_S: Final = 0.3  # time constant with which a standing trunk moves to the middle of its feet
+_FORESEEN: Final = 0.25  # of a stance, by which a foot lands ahead for a velocity to come; a pendulum asks for 0.5
 _GOAL_S: Final = 0.03  # time constant with which a swinging foot takes up another goal
 _AHEAD_S: Final = 0.01  # step in which the velocity is foreseen
 _STEADY: Final = 1e-3  # m/s, m/s² and rad: a velocity that does not change
@@ -143,8 +144,8 @@ def _feet(schedule: Any, top: float, s: Any, mixture: Any, work: Any, dt: float)
             going = u * (1.0 - u) ** 3 * (1.0 + 3.0 * u) * s.lasts[leg]  # begins with slope 1 in time
             _foresee(s, top, max(s.lasts[leg] - s.since[leg], 0.0), stances[leg], mixture.ahead)
             faster, rate = mixture.ahead[0], mixture.ahead[1]
-            gx = 0.5 * stances[leg] * (faster[0] - y * faster[2]) - lean * rate[0]
-            gy = 0.5 * stances[leg] * (faster[1] + x * faster[2]) - lean * rate[1]
+            gx = _FORESEEN * stances[leg] * (faster[0] - y * faster[2]) - lean * rate[0]
+            gy = _FORESEEN * stances[leg] * (faster[1] + x * faster[2]) - lean * rate[1]
             share = min(dt / _GOAL_S, 1.0) if s.since[leg] > 0.0 else 1.0
             s.goal[leg, 0] += share * (gx - s.goal[leg, 0])
             s.goal[leg, 1] += share * (gy - s.goal[leg, 1])
