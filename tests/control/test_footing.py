@@ -81,6 +81,22 @@ def test_a_foot_that_should_stand_and_finds_no_ground_is_lowered_where_it_is_rou
     np.testing.assert_allclose(height - lower, lowered_m, atol=1e-4)
 
 
+@pytest.mark.parametrize(("steps", "raised_m"), [(10, 0.02), (60, 0.05)])
+def test_a_swinging_foot_that_catches_on_the_ground_is_raised(robot: Robot, steps: int, raised_m: float) -> None:
+    found, swings = [], []
+    for load in (0.0, 0.5):
+        loop, observation = held(robot, "trot", ControllerConfig())
+        observation["foot_force"][..., 2] = load * robot.mass * GRAVITY
+        for _ in range(steps):
+            command = loop.controller.step(observation, loop.clocks)
+        found.append(foot_positions(robot, command["joint_pos"])[..., 2])
+        swings.append(loop.controller.memory["stance"] == 0)
+    free, caught = found
+    swings = swings[0] & swings[1]
+    assert swings.sum() > 3
+    np.testing.assert_allclose((caught - free)[swings], raised_m, atol=2e-3)
+
+
 @pytest.mark.parametrize(
     ("load", "roughness_m", "share"), [(0.5, 0.0, 1.0), (0.5, 0.015, 0.5), (0.5, 0.03, 0.0), (0, 0.03, 1.0)]
 )
