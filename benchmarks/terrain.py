@@ -1,7 +1,7 @@
 """Blind on stairs, slopes and rough ground: who stays up, how far they come, and what remains of the motion.
 
     python benchmarks/terrain.py [--robot a1] [--motions trot …] [--terrains stairs-up=0.05 …] [--episodes 16]
-                                 [--observe truth] [--json] [--write]
+                                 [--observe truth] [--seed 0] [--json] [--write]
 
 Episodes begin on the terrain itself, at different places and phases, perturbed as in `fastmimic evaluate`, and last
 10 s, or as long as the motion takes for 6 m: one slower than 0.6 m/s would not make 5 m in 10 s. A robot survives if it
@@ -46,6 +46,7 @@ def main() -> None:
     parser.add_argument("--terrains", nargs="+", help="in place of the usual ones, for all motions")
     parser.add_argument("--episodes", type=int, default=16)
     parser.add_argument("--observe", default="truth", choices=("truth", "sensors"))
+    parser.add_argument("--seed", type=int, default=0, help="of starts, places and ground")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--write", action="store_true", help="put the table into docs/robustness.md")
     args = parser.parse_args()
@@ -57,7 +58,7 @@ def main() -> None:
         seconds = found["seconds"][name] = length(motion)
         for text in args.terrains or (*TERRAINS, *(HIGH if name == HIGH_FOR else ())):
             terrain = parse_terrain(text)
-            conditions = Conditions(observe=args.observe, terrain=terrain)
+            conditions = Conditions(observe=args.observe, terrain=terrain, seed=args.seed)
             figures = walked(robot, motion, conditions, seconds, args.episodes)
             for part, value in figures.items():
                 found[part].setdefault(terrain.name, {}).setdefault(name, {})[f"{terrain.values[0]:g}"] = value
@@ -78,7 +79,7 @@ def length(motion: Motion) -> float:
 
 def walked(robot: Robot, motion: Motion, conditions: Conditions, seconds: float, episodes: int) -> dict[str, Any]:
     """The figures of one motion on one terrain."""
-    start = perturbed_start(episodes, motion.n_samples, np.random.default_rng(0))
+    start = perturbed_start(episodes, motion.n_samples, np.random.default_rng(conditions.seed))
     done = run_episodes(robot, motion, start=start, duration_s=seconds, conditions=conditions, log=True)
     up, metres = ~done.fell, np.array([way(done, motion, i) for i in range(episodes)])
     style = np.array([style_until_fall(done, motion, robot, i) for i in range(episodes)])

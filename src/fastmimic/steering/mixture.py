@@ -41,8 +41,8 @@ STEERED: Final = record_dtype(
 velocity, the present one and its rate, heading frame, m, rad, s; the share of standing in the mixture; the sum of the
 distances moved by synchronisation, m; the `offset` of the gait before from the present one, which `fades` from 1 to
 0. Of each foot: its place while it stands, world, m; how far `away` it is from where the gaits have it, heading frame,
-m, and how far when it lifted off, `leaving` at so many m/s; the time since then and until it is where the gaits have
-it, s; where the `feet` are, and were `before` the last step, body frame, m."""
+m, and how far when it lifted off, `leaving` at so many m/s; the `goal` in which its swing is to end, likewise; the time
+since then and until it is there, s; where the `feet` are, and were `before` the last step, body frame, m."""
 
 MIXTURE: Final = record_dtype([*floats(weight=9, values=WIDTH, tilt=4, ahead=(2, 3)), *integers(gait=9)])
 
