@@ -37,6 +37,9 @@ def made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     savefig = Figure.savefig
 
     def drawn(figure: Figure, file: BinaryIO, **options: Any) -> None:
+        if isinstance(file, io.BytesIO):
+            savefig(figure, file, **options)
+            return
         name = Path(file.name).stem  # that of a temporary file: without its random ending
         if name not in _drawn:
             content = io.BytesIO()

@@ -52,7 +52,6 @@ def run(request: pytest.FixtureRequest, finished: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_its_run_can_be_reported(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("plotly", reason="the extra 'report' is not installed")
     assert cli.main(["report", str(run)]) == 0
     assert "without" not in capsys.readouterr().err, "nothing is missing"
     method = json.loads((run / "metrics.json").read_text())["method"]

@@ -44,7 +44,7 @@ def test_an_extra_lacks_what_is_not_installed(run: Run, monkeypatch: pytest.Monk
     monkeypatch.setattr(doctor.metadata, "version", version)
     found = checks(run)
     assert found["extra view"] == {"works": False, "said": "viser missing: pip install 'fastmimic[view]'"}
-    assert found["extra report"]["works"] is True
+    assert found["extra formats"]["works"] is True
 
 
 def test_every_extra_of_users_is_one_of_the_package() -> None:

@@ -12,7 +12,7 @@ from fastmimic.base.errors import DriverError, OutputError
 from fastmimic.base.machine import available_cores, versions
 from fastmimic.commands.console import put, put_json, put_table
 
-_EXTRAS: Final = ("view", "report", "pybullet", "rl", "formats", "library", "ray", "go2")
+_EXTRAS: Final = ("view", "pybullet", "rl", "formats", "library", "ray", "go2")
 _NEEDED: Final = re.compile(r"""^([\w.-]+).*extra == ['"]([\w-]+)['"]""")
 
 

@@ -139,8 +139,8 @@ def _kinematic(motion: Motion, robot: Robot, seconds: float) -> "tuple[Track, fl
 @opt.command
 class WriteReport:
     """Writes report.html into the folder of a run of 'imitate', 'stitch' or 'deploy', or of 'compare', 'stress'
-    or 'transfer': one self-contained file with the video, the figures before and after, and interactive plots. A clip,
-    a motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'."""
+    or 'transfer': one self-contained file with the video, the figures before and after, and pictures of what the robot
+    did. A clip, a motion or a name runs first as it is, into a folder of its own: 'imitate --no-optimize'."""
 
     runs: Annotated[Positional[tuple[str, ...]], opt.option("RUN|MOTION ...")]
     out: Annotated[Path | None, opt.option("FILE.html")] = None
@@ -152,13 +152,12 @@ class WriteReport:
             raise ConfigError("report takes the folder of at least one run")
         if self.out is not None and len(self.runs) > 1:
             raise ConfigError(f"--out names one file, but {len(self.runs)} runs were given; drop it")
-        from fastmimic.report.html import REPORT, kind_of, make_report, require_libraries
+        from fastmimic.report.html import REPORT, kind_of, make_report
         from fastmimic.viewer.replay import recorded
 
         folders = [Path(run) if Path(run).is_dir() else None for run in self.runs]
         if None not in folders and (self.robot is not None or self.reading.overrides()):
             raise ConfigError("--robot and how a clip is read belong to motions that are not run yet; drop them")
-        require_libraries()
         for run, path in zip(self.runs, folders, strict=True):  # refuses before anything is written
             if path is None:
                 self.reading.animal(run, opt.choose_robot(self.robot, find_motion(run)))

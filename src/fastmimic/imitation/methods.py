@@ -41,9 +41,7 @@ class Method:
     base: str = ""  # name of the method that runs the motion before it is optimised; empty for the method itself
     playable: bool = False  # whether a live session offers it
     color: str = "#999999"
-    dark_color: str = ""  # on a dark page; empty for `color`
     hatch: str = "--"  # of its bars, one of Matplotlib's
-    symbol: str = "circle"  # of its points, one of Plotly's
 
     def __post_init__(self) -> None:
         known = (NOTHING, *PARAMETER_GROUPS)

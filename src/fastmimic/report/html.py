@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.files import read_json
-from fastmimic.base.machine import optional
 from fastmimic.deploy.log import LOG, RESULT
 from fastmimic.learning.policy import POLICY_FILE
 from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
@@ -19,15 +17,15 @@ REPORT: Final = "report.html"
 
 
 def kind_of(folder: str | Path) -> str:
-    """The kind of a folder: "run" (`imitate`, `stitch`), "comparison" (`compare`), "results" (`stress`, `transfer`) or
-    "deployment" (`deploy`); raises `ConfigError` for others."""
+    """The kind of a folder: "run" (`imitate`, `stitch`), "results" (`compare`, `stress`, `transfer`) or "deployment"
+    (`deploy`); raises `ConfigError` for others."""
     path = Path(folder)
     if (path / METRICS).is_file():
         return "run"
     if (path / RESULT).is_file() or (path / LOG).is_file():
         return "deployment"
     if (path / ENVIRONMENT).is_file():
-        return "results" if "experiment" in read_json(path / ENVIRONMENT) else "comparison"
+        return "results"
     if not path.is_dir():
         raise ConfigError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}; give the folder of a run")
     if (path / POLICY_FILE).is_file():
@@ -39,24 +37,16 @@ def kind_of(folder: str | Path) -> str:
     raise ConfigError(f"{path}: not the folder of a run: {files} nor {RESULT} of deploy")
 
 
-def require_libraries() -> None:
-    """Raises `ConfigError` without Jinja2."""
-    said = "the report needs Jinja2, which is not installed: pip install 'fastmimic[report]'"
-    optional("jinja2", ConfigError(said))
-
-
 def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | None" = None) -> "HtmlReport":
     """Makes the page of a folder, of a kind that `kind_of` knows. A run's two episodes are simulated again, and
     `replay` makes a self-contained HTML page that plays them in 3D, or raises `FastMimicError`. Raises `ConfigError`
-    for another folder, figures that cannot be read, or without Jinja2 or Plotly."""
+    for another folder, or figures that cannot be read."""
     path, kind = Path(folder), kind_of(folder)
-    require_libraries()
-    from fastmimic.report import html_comparison, html_deployment, html_run
+    from fastmimic.report import html_deployment, html_results, html_run
 
     if kind == "run":
         return html_run.run_page(path, replay)
-    pages = {"comparison": html_comparison.comparison_page, "results": html_comparison.results_page}
-    if kind not in pages:
+    if kind == "deployment":
         return html_deployment.deployment_page(path)
     with of_finished(path):
-        return pages[kind](path)
+        return html_results.results_page(path)

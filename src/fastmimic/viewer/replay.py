@@ -30,12 +30,11 @@ def recorded(e: "RerunEpisodes") -> str:
     """One self-contained page, viser's client and a recording of its scene, with the robot before and after side by
     side. They repeat their episodes, up to `LONGEST_S`; the shorter one stays at its end. While recording, a server
     runs on loopback. Raises `ConfigError` as `WebPage`."""
-    labels = ["" if len(e.series) == 1 else key.label for *_, key in e.series]
+    names = [*e.rollouts] if len(e.rollouts) > 1 else ["robot"]  # in the scene tree
     takes = [
-        rollout_take(rollout, motion, e.robot, e.config, label)
-        for (rollout, *_), motion, label in zip(e.series, (e.motion.target, e.motion), labels, strict=False)
+        rollout_take(rollout, motion, e.robot, e.config, name if len(e.rollouts) > 1 else "")
+        for rollout, motion, name in zip(e.rollouts.values(), (e.motion.target, e.motion), names, strict=False)
     ]
-    names = [label.partition(":")[0] or "robot" for label in labels]  # in the scene tree
     with WebPage() as page:
         server = page.server
         robots = line_up(server, takes, names=names)

@@ -1,9 +1,5 @@
 "use strict";
 (() => {
-  const root = document.documentElement;
-  const plots = JSON.parse(document.getElementById("plots").textContent);
-  const boxes = [...document.querySelectorAll(".plot")];
-  const touch = matchMedia("(pointer: coarse)").matches;
   const dark = matchMedia("(prefers-color-scheme: dark)");
 
   // A text that the page keeps compressed.
@@ -15,82 +11,8 @@
   const old = () => {
     const line = document.createElement("p");
     line.className = "notes";
-    line.textContent = "Plots and replay need a browser of 2023 or later; tables and video do not.";
+    line.textContent = "The replay needs a browser of 2023 or later; all else does not.";
     document.querySelector("nav, h2, main > :last-child").before(line);
-  };
-
-  // Colours are named in the data as var(--name) and taken from the style sheet, so that they follow the theme.
-  const paint = (value, style) => {
-    if (typeof value === "string") {
-      return value.replace(/var\((--[\w-]+)\)/g, (_, name) => style.getPropertyValue(name).trim());
-    }
-    if (Array.isArray(value)) return typeof value[0] === "number" ? value : value.map((v) => paint(v, style));
-    if (value && typeof value === "object") {
-      return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, paint(v, style)]));
-    }
-    return value;
-  };
-
-  const axis = (given, style, paper) => ({
-    gridcolor: style.getPropertyValue("--grid").trim(),
-    linecolor: style.getPropertyValue("--line").trim(),
-    tickcolor: style.getPropertyValue("--line").trim(),
-    zeroline: false, automargin: true, nticks: 6, ...given,
-    title: {
-      standoff: 8, font: { size: paper ? 9.5 : 12.5, color: style.getPropertyValue("--muted").trim() }, ...given.title,
-    },
-  });
-
-  const drawOne = (box) => {
-    const style = getComputedStyle(root);
-    const paper = root.classList.contains("print");  // smaller, so that two figures fit a page
-    const font = {
-      family: getComputedStyle(document.body).fontFamily, size: paper ? 10 : 12, color: style.getPropertyValue("--ink").trim(),
-    };
-    const plot = paint(plots[box.id], style);
-    const given = plot.layout;
-    const height = Math.round((paper ? 0.62 : 1) * given.height);
-    box.style.height = `${height}px`;
-    const layout = {
-      ...given, font, height, width: box.clientWidth, showlegend: false, dragmode: touch ? false : "zoom",
-      paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 8, r: 8, t: 8, b: 8 },
-      hovermode: given.hovermode === undefined ? "x unified" : given.hovermode,
-      hoverlabel: {
-        bgcolor: style.getPropertyValue("--card").trim(), bordercolor: style.getPropertyValue("--line").trim(), font,
-      },
-      xaxis: axis(given.xaxis, style, paper), yaxis: axis(given.yaxis, style, paper),
-    };
-    Plotly.react(box, plot.data, layout, { displayModeBar: false, displaylogo: false });
-  };
-
-  // One plot at a time, so that the page can be read and scrolled meanwhile.
-  let turn = 0;
-  const draw = async () => {
-    const own = ++turn;
-    for (const box of boxes) {
-      if (own !== turn) return;
-      drawOne(box);
-      await new Promise((resume) => setTimeout(resume));
-    }
-    root.dataset.drawn = String(boxes.length);
-  };
-
-  const begin = async () => {
-    if (boxes.length) {
-      const library = document.createElement("script");
-      library.textContent = await kept("plotly");
-      document.head.append(library);
-    }
-    await draw();
-    dark.addEventListener("change", draw);
-    let waiting = 0, width = root.clientWidth;
-    addEventListener("resize", () => {
-      clearTimeout(waiting);
-      waiting = setTimeout(() => { if (root.clientWidth !== width) { width = root.clientWidth; draw(); } }, 120);
-    });
-    const all = () => { turn++; boxes.forEach(drawOne); };  // before the browser goes on to print
-    addEventListener("beforeprint", () => { root.classList.add("print"); all(); });
-    addEventListener("afterprint", () => { root.classList.remove("print"); all(); });
   };
 
   for (const button of document.querySelectorAll("button[data-opens]")) {
@@ -133,5 +55,5 @@
   }
 
   if (typeof DecompressionStream === "undefined") old();
-  else begin();
+  document.documentElement.dataset.ready = "yes";
 })();
