@@ -20,7 +20,6 @@ from fastmimic.motion.provenance import (
 
 DMP = DmpRecord(
     n_basis=2,
-    basis_width_min_max=(1.0, 2.0),
     alpha=4.0,
     fit_rms={"feet_m": 0.1},
     names=("root_z", "FR_foot_z"),

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.primitive.rhythmic import ALPHA, RhythmicDmp, normalised_basis
+from fastmimic.primitive.rhythmic import ALPHA, RhythmicDmp, basis
 
 # Gauss–Legendre nodes and weights on [0, 1]
 _NODES: Final = 0.5 + np.array([-np.sqrt(0.15), 0.0, np.sqrt(0.15)])
@@ -29,7 +29,7 @@ class DmpIntegrator:
         self.amplitude = np.ones(len(dmp.goal))
         self.period_s = dmp.period_s
         self.phase = float(phase)
-        self._longest = 0.5 / float(np.sqrt(dmp.widths.max()))  # half the narrowest basis function
+        self._longest = np.pi / dmp.n_basis  # half the distance of two basis functions
         if position is None:
             self.position = dmp.position(self.phase)
             self._z = shape_rate(dmp, self.phase)
@@ -65,7 +65,7 @@ class DmpIntegrator:
 
 def forcing(dmp: RhythmicDmp, phase: Array) -> Array:
     """f(φ) at phases (t,) → (t, d)."""
-    return np.asarray(np.einsum("tdn,dn->td", normalised_basis(phase, dmp.centres, dmp.widths), dmp.weights))
+    return basis(phase, dmp.n_basis) @ dmp.weights.T
 
 
 def shape_rate(dmp: RhythmicDmp, phase: Array | float) -> Array:

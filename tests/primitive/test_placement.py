@@ -1,10 +1,10 @@
-"""Where basis functions go: evenly in a stride, to the swings in a long loop."""
+"""Basis functions of a cycle: evenly spaced, and of a long loop as many as its swings need."""
 
 import numpy as np
 import pytest
 
 from fastmimic.primitive import RhythmicDmp
-from fastmimic.primitive.rhythmic import basis_widths, normalised_basis, place_basis
+from fastmimic.primitive.rhythmic import basis
 from primitive.integrator import DmpIntegrator
 
 LONG = 3000  # samples: 6 s at 500 Hz
@@ -20,42 +20,25 @@ def steps_and_pauses(n: int, swings: tuple[float, ...] = (0.5, 1.5, 2.3, 4.0), s
     return y[:, None]
 
 
-def test_one_stride_gets_evenly_spaced_functions() -> None:
-    centres = place_basis(steps_and_pauses(325), 100)
-    np.testing.assert_allclose(centres[0], 2 * np.pi * np.arange(100) / 100, atol=1e-15)
+@pytest.mark.parametrize("n", [1, 10, 300])
+def test_functions_sum_to_one_and_are_greatest_at_their_centres(n: int) -> None:
+    found = basis(np.linspace(0, 2 * np.pi, 777), n)
+    assert found.shape == (777, n)
+    np.testing.assert_allclose(found.sum(axis=-1), 1.0, atol=1e-12)
+    centres = 2 * np.pi * np.arange(n) / n
+    assert list(np.argmax(basis(centres, n), axis=-1)) == list(range(n))
 
 
-def test_in_a_long_loop_swings_get_more_functions_than_their_share_of_time() -> None:
-    centres = place_basis(steps_and_pauses(LONG), 100)[0]
-    assert np.all(np.diff(centres) > 0)
-    assert centres[0] == 0
-    time = centres * 6 / (2 * np.pi)
-    in_swing = sum(np.count_nonzero((time > s - 0.05) & (time < s + 0.25)) for s in (0.5, 1.5, 2.3, 4.0))
-    assert in_swing > 40, "evenly spaced ones would be 20"
-
-
-def test_functions_are_never_closer_than_four_samples() -> None:
-    centres = place_basis(steps_and_pauses(1200, swings=(2.0,)), 100)[0]
-    assert np.min(np.diff(centres)) > 3.9 * 2 * np.pi / 1200
-
-
-def test_functions_sum_to_one_wherever_they_are() -> None:
-    centres = place_basis(steps_and_pauses(LONG), 100)
-    basis = normalised_basis(np.linspace(0, 2 * np.pi, 777), centres, basis_widths(centres))
-    assert basis.shape == (777, 1, 100)
-    np.testing.assert_allclose(basis.sum(axis=-1), 1.0, atol=1e-12)
-
-
-def test_a_long_loop_is_fitted_below_a_millimetre_by_a_hundred_functions() -> None:
+def test_the_swings_of_a_long_loop_are_fitted_below_a_tenth_of_a_millimetre() -> None:
     y = steps_and_pauses(LONG)
-    dmp = RhythmicDmp.fit(y, 6.0, 100)
+    dmp = RhythmicDmp.fit(y, 6.0)
     error = dmp.position(2 * np.pi * np.arange(LONG) / LONG) - y
-    assert dmp.n_basis == 100
-    assert np.sqrt(np.mean(error**2)) < 5e-4
+    assert dmp.n_basis == 300
+    assert np.sqrt(np.mean(error**2)) < 1e-4
     assert dmp.shape(2 * np.pi * np.arange(LONG) / LONG).mean() == pytest.approx(0, abs=1e-12)
 
 
-def test_closed_and_integrated_forms_agree_with_uneven_functions_too() -> None:
+def test_closed_and_integrated_forms_agree_in_a_long_loop_too() -> None:
     dmp = RhythmicDmp.fit(steps_and_pauses(LONG), 6.0)
     integrator = DmpIntegrator(dmp)
     for _ in range(300):

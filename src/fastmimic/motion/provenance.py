@@ -48,7 +48,6 @@ class DmpRecord:
     `amplitude` as modulated, `fitted_goal` as fitted to the demonstration. `primitive` is "discrete", or None."""
 
     n_basis: int
-    basis_width_min_max: tuple[float, float]
     alpha: float
     fit_rms: dict[str, float]
     names: tuple[str, ...]

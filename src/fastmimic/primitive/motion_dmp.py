@@ -310,7 +310,6 @@ class MotionDmp:
     def _record(self, goal: Array, amplitude: Array, table: FootTable) -> DmpRecord:
         return DmpRecord(
             n_basis=self.primitive.n_basis,
-            basis_width_min_max=(float(self.primitive.widths.min()), float(self.primitive.widths.max())),
             alpha=ALPHA,
             fit_rms=dict(self.fit_rms),
             names=NAMES,

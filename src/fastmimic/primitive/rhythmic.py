@@ -3,7 +3,9 @@
 With τ = T/2π and the phase φ̇ = 1/τ,
 
     τ ż = α (β (g − y) − z) + a f(φ),   τ ẏ = z,
-    f(φ) = Σ ψᵢ wᵢ / Σ ψᵢ,              ψᵢ = exp(h (cos(φ − cᵢ) − 1)),   β = α/4.
+    f(φ) = Σ ψᵢ wᵢ / Σ ψᵢ,              ψᵢ = exp(h (cos(φ − cᵢ) − 1)),   β = α/4,
+
+with the centres cᵢ evenly spaced, and 1/√h their distance.
 
 Over the phase this is a linear filter with a periodic input, y″ + α y′ + αβ y = αβ g + a f(φ). Its limit cycle is y = g
 + a s(φ) with a fixed shape s: harmonic k of s is harmonic k of f times 1 / (αβ − k² + iαk). Nothing is integrated.
@@ -28,8 +30,6 @@ N_BASIS: Final = 100
 _FUNCTIONS_PER_S: Final = 50  # of a long cycle
 ALPHA: Final = 25.0  # stiffness α, per radian of phase, as in Ijspeert et al. 2013; critically damped with β = α/4
 RIDGE: Final = 1e-8  # weight of the regularisation: keeps w/αβ at the motion's size without loss of accuracy
-_FLOOR: Final = 0.2  # share of the basis functions that is spread evenly
-_SAMPLES_PER_FUNCTION: Final = 4  # least number of samples between two functions
 
 
 class Terms(NamedTuple):
@@ -46,13 +46,12 @@ class RhythmicDmp:
     """Rhythmic DMPs of `d` dimensions that share a phase.
 
     Attributes:
-        weights, centres: (d, n_basis) weights w of the forcing term, and centres c of the basis functions, rad.
+        weights: (d, n_basis) weights w of the forcing term.
         goal: (d,) baseline g, the mean of the fitted motion.
         period_s: T of the fitted motion, s.
     """
 
     weights: Array
-    centres: Array
     goal: Array
     period_s: float
 
@@ -74,20 +73,11 @@ class RhythmicDmp:
         y = checked_samples(samples, "the cycle", period_s=period_s, n_basis=N_BASIS if n_basis is None else n_basis)
         n_basis = max(N_BASIS, int(np.ceil(_FUNCTIONS_PER_S * period_s))) if n_basis is None else n_basis
         goal = y.mean(axis=0)
-        centres = place_basis(y, n_basis)
-        weights = np.empty_like(centres)
-        for row, dims in _distinct(centres):
-            weights[dims] = _fitted_weights(row, y[:, dims] - goal[dims])
-        return cls(weights, centres, goal, float(period_s))
+        return cls(_fitted_weights(n_basis, y - goal), goal, float(period_s))
 
     @property
     def n_basis(self) -> int:
         return self.weights.shape[1]
-
-    @cached_property
-    def widths(self) -> Array:
-        """Widths h (d, n_basis) of the basis functions."""
-        return basis_widths(self.centres)
 
     def shape(self, phase: Array | float) -> Array:
         """s(φ), the limit cycle's deviation from g at a = 1, at phases (...) → (..., d)."""
@@ -109,26 +99,20 @@ class RhythmicDmp:
     @cached_property
     def _harmonics(self) -> NDArray[np.complex128]:
         """Complex amplitudes (k, d) of s for k = 0, 1, …, down to rounding error."""
-        columns = []
-        for centres, dims in _distinct(self.centres):
-            columns.append((dims, _filtered(product(_fine_basis(centres), self.weights[dims].T))))
-        out = np.zeros((max(len(column) for _, column in columns), len(self.weights)), dtype=np.complex128)
-        for dims, column in columns:
-            out[: len(column), dims] = column
-        return out
+        return _filtered(product(_fine_basis(self.n_basis), self.weights.T))
 
 
-def _distinct(centres: Array) -> list[tuple[Array, NDArray[np.intp]]]:
-    """The distinct rows of `centres` (d, n), each with its dimensions."""
-    rows, group = np.unique(centres, axis=0, return_inverse=True)
-    return [(row, np.flatnonzero(group.reshape(-1) == i)) for i, row in enumerate(rows)]
+def basis(phase: Array, n: int) -> Array:
+    """ψᵢ/Σψ at phases (...) → (..., n) of `n` functions."""
+    centres = 2 * np.pi * np.arange(n) / n
+    psi = np.exp((n / (2 * np.pi)) ** 2 * (np.cos(np.asarray(phase)[..., None] - centres) - 1))
+    return np.asarray(psi / psi.sum(axis=-1, keepdims=True))
 
 
-def _fine_basis(centres: Array) -> Array:
-    """Basis functions (m, n) with centres (n,) at m even phases: the narrowest one's spectrum vanishes before m/2."""
-    closest = float(np.min(np.diff(centres, append=centres[0] + 2 * np.pi)))
-    m = 64 * int(np.ceil(8 * np.pi / closest / 64))  # a good length for the FFT
-    return normalised_basis(2 * np.pi * np.arange(m) / m, centres, basis_widths(centres))
+def _fine_basis(n: int) -> Array:
+    """The functions (m, n) at m even phases: their spectrum vanishes before m/2."""
+    m = 64 * int(np.ceil(n / 16))  # a good length for the FFT
+    return basis(2 * np.pi * np.arange(m) / m, n)
 
 
 def _filtered(forcing: Array) -> NDArray[np.complex128]:
@@ -138,74 +122,17 @@ def _filtered(forcing: Array) -> NDArray[np.complex128]:
     return harmonics / (ALPHA**2 / 4 - k**2 + 1j * ALPHA * k)
 
 
-def _fitted_weights(centres: Array, deviation: Array) -> Array:
+def _fitted_weights(n: int, deviation: Array) -> Array:
     """Weights (d, n) with limit cycles closest to `deviation` (t, d), the samples minus their mean."""
     t = len(deviation)
-    basis = _fine_basis(centres)
-    harmonics = _filtered(basis)
+    fine = _fine_basis(n)
+    harmonics = _filtered(fine)
     finer = 2 * len(harmonics) // t + 1  # a grid that holds all harmonics and every sample
     response = np.fft.irfft(harmonics, t * finer, axis=0)[::finer] * (t * finer)  # (t, n)
-    n = len(centres)
     normal = product(response.T, response) / t + RIDGE / (n * (ALPHA**2 / 4) ** 2) * np.eye(n)
     weights = solve_banded(in_band(normal), product(response.T, deviation) / t).T
     # the basis sums to one, so this only removes the mean of f
-    return weights - product(weights, basis.mean(axis=0)[:, None])
-
-
-def place_basis(samples: Array, n_basis: int) -> Array:
-    """Centres c (d, n_basis) of the basis functions for one cycle (t, d) of samples, rad, ascending.
-
-    A cycle of one stride gets evenly spaced functions, as in the paper. In a loop of several strides and pauses (a
-    swing of 0.2 s in 6 s would get three of 100), their density grows with the square root of the curvature, which
-    equalises the error of a second-order approximation (de Boor 1973).
-    """
-    t = len(samples)
-    densest = max(1.0, t / (_SAMPLES_PER_FUNCTION * n_basis))
-    if densest == 1.0:
-        return np.tile(2 * np.pi * np.arange(n_basis) / n_basis, (samples.shape[1], 1))
-    return np.stack([_equidistributed(_density(y, n_basis, densest), n_basis) for y in samples.T])
-
-
-def basis_widths(centres: Array) -> Array:
-    """Widths h (d, n): 1/√h is the distance to the neighbours."""
-    following = np.roll(centres, -1, axis=-1)
-    following[..., -1] += 2 * np.pi
-    gap = following - centres
-    return (0.5 * (gap + np.roll(gap, 1, axis=-1))) ** -2.0
-
-
-def normalised_basis(phase: Array, centres: Array, widths: Array) -> Array:
-    """ψᵢ/Σψ with ψᵢ = exp(h (cos(φ − cᵢ) − 1)) at phases (...) → (..., *centres.shape)."""
-    angle = phase[(..., *(None,) * centres.ndim)] - centres
-    psi = np.exp(widths * (np.cos(angle) - 1))
-    return psi / psi.sum(axis=-1, keepdims=True)
-
-
-def _density(y: Array, n_basis: int, densest: float) -> Array:
-    """Density (t,) of the functions over the cycle, mean 1, at most `densest`."""
-    t = len(y)
-    k = np.arange(t // 2 + 1)
-    smoothing = np.exp(-0.5 * (k * 0.25 * (2 * np.pi / n_basis)) ** 2)  # a quarter of the even distance
-
-    def smooth(values: Array) -> Array:
-        return np.fft.irfft(np.fft.rfft(values) * smoothing, t)
-
-    spectrum = np.fft.rfft(y - y.mean())
-    curvature = smooth(np.abs(np.fft.irfft(-(k**2) * spectrum * smoothing, t)))
-    density = np.sqrt(np.maximum(curvature, 0.0))
-    if density.mean() < 1e-12:
-        return np.ones(t)
-    density = smooth(_FLOOR + (1 - _FLOOR) * density / density.mean())
-    excess = float(np.max(density)) - 1
-    return 1 + (density - 1) * min(1.0, (densest - 1) / excess) if excess > 1e-9 else np.ones(t)
-
-
-def _equidistributed(density: Array, n_basis: int) -> Array:
-    """Phases (n,) with the same integral of `density` (t,) between neighbours."""
-    t = len(density)
-    step = 0.5 * (density + np.roll(density, -1))
-    cumulative = np.concatenate([[0.0], np.cumsum(step)])
-    return np.interp(np.arange(n_basis) / n_basis * cumulative[-1], cumulative, 2 * np.pi * np.arange(t + 1) / t)
+    return weights - product(weights, fine.mean(axis=0)[:, None])
 
 
 def checked_samples(samples: NDArray[np.float64], what: str, **settings: float) -> NDArray[np.float64]:
