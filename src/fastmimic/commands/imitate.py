@@ -14,7 +14,7 @@ from fastmimic.base.machine import versions
 from fastmimic.base.progress import note
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import put_table
-from fastmimic.commands.show import note_origin, put_result, unmet_bounds, write_run, yes_no
+from fastmimic.commands.show import note_origin, put_result, write_run, yes_no
 from fastmimic.control.config import controller_config
 from fastmimic.imitation.methods import check_controller, method_named
 from fastmimic.motion.motion import Motion
@@ -106,8 +106,9 @@ class Imitate(SearchRun):
         about = {"motion": motion.name, "source": motion.provenance.source, "licence": motion.provenance.licence}
         with self.opened(robot, motion.name, method, **about) as (folder, config):
             note_origin(robot, motion)
-            for sentence in unmet_bounds(motion):
-                note(f"retargeting: {sentence}")
+            for bound in motion.provenance.retargeted.bounds:
+                if not bound.met:
+                    note(f"retargeting does not keep {bound}")
             result = self._imitate(robot, motion, method, folder)
             result = dataclasses.replace(result, wall_s=result.wall_s + loading_s)
             write_run(result, folder, config)

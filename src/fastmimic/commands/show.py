@@ -10,7 +10,7 @@ from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import packaged, remove_file
 from fastmimic.base.progress import count_progress, note, slow_start
-from fastmimic.base.text import NONE, number
+from fastmimic.base.text import number
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.formats import FORMATS
 from fastmimic.commands import options as opt
@@ -132,16 +132,6 @@ def provenance(motion: Motion) -> str:
     parts.append(f"{motion.period_s:.3f} s" + (" per cycle" if motion.cycle is not None else f", {once}"))
     licence = motion.provenance.licence
     return f"{motion.name}: {', '.join(parts)}" + (f"; licence: {licence}" if licence else "")
-
-
-def unmet_bounds(motion: Motion) -> list[str]:
-    """The bounds of a faithful retargeting that this motion exceeds, as sentences."""
-    return [
-        f"{bound.name} {NONE if bound.value is None else f'{bound.value:.3g}'} exceeds {bound.limit:.3g}"
-        + (f" ({bound.reason})" if bound.reason else "")
-        for bound in motion.provenance.retargeted.bounds
-        if not bound.met
-    ]
 
 
 def describe_robot(robot: Robot) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.errors import MotionError
+from fastmimic.base.text import number
 
 _Kind = TypeVar("_Kind")
 
@@ -109,6 +110,10 @@ class RetargetBound:
     limit: float
     met: bool
     reason: str = ""
+
+    def __str__(self) -> str:
+        why = f" ({self.reason})" if self.reason else ""
+        return f"{self.name}: {number(self.value, 4)} of {self.limit:.3g}{why}"
 
 
 class RetargetOutcome(msgspec.Struct, frozen=True):

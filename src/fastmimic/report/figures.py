@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
@@ -48,9 +48,10 @@ def convergence_figure(history: History, title: str = "Optimisation") -> Figure:
     figure = style.new_figure(8.0, 5.6, title, below=0.5)
     reward, step = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     _draw_reward(reward, k, h)
-    step.semilogy(k, h.sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
+    step.plot(k, h.sigma, color=INK, linewidth=1.4, marker=_marker(k), markersize=4)
     style.tidy(step, "Step size of the search: it shrinks as the optimiser settles", "iteration", "σ (–)")
-    _label_step_sizes(step, h.sigma)
+    step.set_ylim(bottom=0.0)
+    step.yaxis.set_major_locator(MaxNLocator(3))
     step.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
@@ -72,19 +73,6 @@ def _draw_reward(axes: Axes, k: Array, h: History) -> None:
     drawn = drawn[np.isfinite(drawn)]
     margin = 0.06 * max(np.ptp(drawn), 0.02)
     axes.set_ylim(drawn.min() - margin, drawn.max() + margin)
-
-
-def _label_step_sizes(axes: Axes, sigma: Array) -> None:
-    """Ticks for a low logarithmic axis: 1, 2 and 5 of each decade, or whole decades."""
-    shown = sigma[np.isfinite(sigma) & (sigma > 0)]
-    if not shown.size:
-        return
-    low, high = shown.min() / 1.6, shown.max() * 1.6  # 2.5 from end to end: one of these is always in it
-    axes.set_ylim(low, high)
-    subs = (1.0, 2.0, 5.0) if high / low < 40 else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=5))
-    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def _marker(k: Array) -> str:

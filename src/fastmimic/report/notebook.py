@@ -1,7 +1,5 @@
 """How motions and results look in a notebook: figures, plot and video."""
 
-import base64
-import io
 import tempfile
 from html import escape
 from pathlib import Path
@@ -15,8 +13,8 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.evaluate import Evaluation
 from fastmimic.imitation.imitate import Imitation
 from fastmimic.motion.motion import Motion
-from fastmimic.render.figure_style import DPI
 from fastmimic.report.figures import motion_figure, render_run, run_figure
+from fastmimic.report.html_page import Picture, embedded
 from fastmimic.robot import load_robot
 
 
@@ -49,9 +47,7 @@ def _table(columns: dict[str, Rollout]) -> str:
 
 
 def _picture(figure: Figure) -> str:
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=DPI)
-    return f'<img style="max-width: 100%" src="data:image/png;base64,{base64.b64encode(out.getvalue()).decode()}">'
+    return f'<img style="max-width: 100%" src="{Picture.of(figure, "").url}">'
 
 
 def _video(result: Imitation) -> str:
@@ -59,5 +55,5 @@ def _video(result: Imitation) -> str:
         path = Path(folder) / "run.mp4"
         if not render_run(result, path):
             return ""
-        data = base64.b64encode(path.read_bytes()).decode()
-    return f'<video style="max-width: 100%" controls loop autoplay muted src="data:video/mp4;base64,{data}"></video>'
+        url = embedded(path, "video/mp4")
+    return f'<video style="max-width: 100%" controls loop autoplay muted src="{url}"></video>'

@@ -20,6 +20,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, check_positive
+from fastmimic.base.text import plain
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
@@ -83,7 +84,7 @@ def retarget(
         robot=robot.name,
         source={k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
         licence=clip.meta.get("licence"),
-        retarget=report.as_dict(),
+        retarget=plain(report),
         held_s=work.held / clip.rate_hz if work.held else None,
     )
     motion = replace(work.motion, provenance=provenance)
@@ -91,7 +92,7 @@ def retarget(
         return motion, report
     found = nearest_executable(robot, motion, falls=falls)
     report = with_executable(report, found.figures)
-    return replace(found.motion, provenance=replace(provenance, retarget=report.as_dict())), report
+    return replace(found.motion, provenance=replace(provenance, retarget=plain(report))), report
 
 
 def choose_scale(clip: Clip, robot: Robot) -> float:

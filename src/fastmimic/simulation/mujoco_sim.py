@@ -67,7 +67,8 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
     touched = {"type": mujoco.mjtSensor.mjSENS_CONTACT, "objtype": body, "objname": WORLD}
     for leg, geom in zip(LEGS, robot.foot_geoms, strict=True):  # 3: the net force
         spec.add_sensor(name=f"{leg}_ground_force", **touched, reftype=sphere, refname=geom, intprm=[wanted, 3, 1])
-    trunk = {} if ground is None else {"reftype": body, "refname": _trunk_of(spec)}
+    floating = next(joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE)  # the trunk's
+    trunk = {} if ground is None else {"reftype": body, "refname": str(floating.parent.name)}
     spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
     spec.option.gravity = [0, 0, -GRAVITY]
@@ -84,11 +85,6 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
         level = build_model(robot, ideal=ideal)
         model.geom_conaffinity[model.geom_bodyid > 0] = level.geom_conaffinity[level.geom_bodyid > 0]
     return model
-
-
-def _trunk_of(spec: mujoco.MjSpec) -> str:
-    """The body that carries the legs: the only one that floats."""
-    return next(str(joint.parent.name) for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE)
 
 
 def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
