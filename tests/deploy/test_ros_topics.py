@@ -29,6 +29,7 @@ from fastmimic.deploy.dds.ros import CommandTopic, RosPublisher
 from fastmimic.deploy.log import LOG, ROW, DeploymentLog
 from fastmimic.robot import load_robot
 from fastmimic.steering import commands
+from fastmimic.steering.gait_field import GaitField
 
 
 def ros(package: str, name: str, /, **fields: Any) -> Any:
@@ -186,8 +187,13 @@ def test_the_domain_is_that_of_ros(domain: int, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_deploy_publishes_and_is_steered_by_a_node(
-    domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    domain: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    gaits: GaitField,
 ) -> None:
+    monkeypatch.setattr("fastmimic.steering.gait_field.gait_field", lambda *_, **__: gaits)
     given = ["--driver", "sim", "--lock-step", "--domain", str(domain), "--publish", "--json", "--out"]
     with a_node(domain, "cmd_vel", Twist), readers(domain) as found:
         status = main(["deploy", "steer", "--topic", "cmd_vel", "--duration", "1", *given, str(tmp_path / "run")])

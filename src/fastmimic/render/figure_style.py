@@ -52,7 +52,7 @@ def new_figure(width: float, height: float, title: str, below: float | None = No
     y = None if below is None else 1.0 - 0.09 / height  # given one, a constrained layout leaves it no room
     figure.suptitle(title, x=0.012, y=y, ha="left", va="top", fontsize=13, fontweight="bold", color=INK)
     if below is not None:
-        figure.subplots_adjust(0.75 / width, below / height, 1.0 - 0.12 / width, 1.0 - 0.62 / height, 0.25, 0.2)
+        figure.subplots_adjust(0.75 / width, below / height, 1.0 - 0.12 / width, 1.0 - 0.62 / height, 0.25, 0.28)
     return figure
 
 

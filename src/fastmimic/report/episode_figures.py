@@ -30,7 +30,7 @@ def episode_figure(
 ) -> Figure:
     """The gait of the last of the logged `rollouts` by name, at the times `window_s`, s; and over the whole episodes,
     until a fall, their rewards, the reward's terms, and how much of torque, joint speed and friction they use."""
-    figure = style.new_figure(14.0, 11.0, title)
+    figure = style.new_figure(14.0, 11.0, title, below=0.7)
     terms = list(REWARD_TERMS)
     rows: list[Any] = [["reward", *terms[:2]], terms[2:], ["torque", "joint speed", "friction"]]
     panels: dict[str, Axes] = figure.subplot_mosaic([["gait"] * 3, *rows])
@@ -138,7 +138,7 @@ def deployment_figure(log: DeploymentLog, title: str) -> Figure:
         "error of the period, ms: at most {}": ([(period, AFTER, "")], None),
         "age of the state when it was used, ms: at most {}": ([(1e3 * rows["age_s"], AFTER, "")], None),
     }
-    figure = style.new_figure(14.0, 8.0, title)
+    figure = style.new_figure(14.0, 8.0, title, below=0.7)
     grid = figure.subplots(3, 2, sharex=True)
     for axes, (said, (curves, limit)) in zip(grid.flat, panels.items(), strict=True):
         _draw(axes, time, curves, said.format(_each(curves, np.nanmax, 2)), limit)

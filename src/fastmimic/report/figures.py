@@ -195,7 +195,7 @@ def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
 def motion_figure(motion: Motion, robot: Robot) -> Figure:
     """A motion's gait, trunk and joints with the robot's limits, over its samples (one cycle if it is periodic), and
     its use of the limits. Behind an executable motion is the animal's."""
-    figure = style.new_figure(15.0, 11.0, f"{motion.name} on {robot.name}: {motion.about}")
+    figure = style.new_figure(15.0, 11.0, f"{motion.name} on {robot.name}: {motion.about}", below=0.7)
     left = zip(("gait", "height", "tilt"), JOINTS_PER_LEG, strict=True)
     rows: list[Any] = [[name, f"{joint} angle", f"{joint} speed"] for name, joint in left]
     panels: dict[str, Axes] = figure.subplot_mosaic([*rows, ["use", "use", "use"]], sharex=True)
@@ -226,8 +226,7 @@ def motion_figure(motion: Motion, robot: Robot) -> Figure:
         style.tidy(rate, f"{joint} speed: peak is {peak[i::3].max():.0f} % of the limit", ylabel="rad/s")
     panels["gait"].set_xlim(0, motion.period_s)
     _draw_use(panels["use"], motion, robot)
-    for name in (*rows[-1], "use"):
-        panels[name].set_xlabel("time (s)", fontsize=9, color=MUTED)
+    panels["use"].set_xlabel("time (s)", fontsize=9, color=MUTED)
     for name in rows[-1]:  # the panel below has another width
         panels[name].tick_params(labelbottom=True)
     style.legend_below(figure, panels[f"{JOINTS_PER_LEG[0]} angle"])

@@ -21,7 +21,7 @@ from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
 from fastmimic.base.files import write_text
 from fastmimic.base.text import NONE
 from fastmimic.imitation.methods import METHODS
-from fastmimic.render.figure_style import DPI
+from fastmimic.render import figure_style as style
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Picture:
         if isinstance(source, Path):
             return cls(embedded(source, "image/png"), text)
         out = io.BytesIO()
-        source.savefig(out, format="png", dpi=DPI)
+        source.savefig(out, format="png", dpi=style.DPI)
         return cls(_url(out.getvalue(), "image/png"), text)
 
 
