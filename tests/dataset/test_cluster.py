@@ -17,7 +17,7 @@ from fastmimic.executors import make_executor
 
 pytestmark = pytest.mark.cluster
 
-MOTIONS = ("trot", "pace", "walk", "side-step", "turn", "bound")
+MOTIONS = ("trot", "pace", "walk", "turn")
 
 
 @pytest.fixture
@@ -64,8 +64,8 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     executor = make_executor("ray", address=cluster.address)
     built = build_dataset(of(*MOTIONS), tmp_path / "cluster", executor, progress=progress)
     assert killed == ["worker", "node"]
-    assert (built.jobs, built.done) == (6, 6)
-    assert len(recorded) == 6
+    assert (built.jobs, built.done) == (4, 4)
+    assert len(recorded) == 4
     assert set(recorded.values()) == {1}
     health, _ = mend(MotionDataset.open(tmp_path / "cluster"))
     assert health.sound

@@ -1,7 +1,9 @@
 """Every executor does the same: all jobs, whatever becomes of single ones."""
 
+import logging
 import os
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -19,11 +21,14 @@ TESTS = str(Path(__file__).parents[1])
 
 @pytest.fixture(params=["local", "ray"])
 def executor(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Executor]:
-    if request.param == "ray":
-        pytest.importorskip("ray")
-        # where a cluster's processes find this file's neighbours
-        monkeypatch.setenv("PYTHONPATH", os.pathsep.join([TESTS, os.environ.get("PYTHONPATH", "")]))
-    return make_executor(request.param, workers=2)
+    if request.param == "local":
+        yield make_executor("local", workers=2)
+        return
+    ray = pytest.importorskip("ray")  # whose processes find this file's neighbours
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([TESTS, os.environ.get("PYTHONPATH", "")]))
+    ray.init(num_cpus=2, include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False)
+    yield make_executor("ray", workers=2)
+    ray.shutdown()
 
 
 def by_job(outcomes: Iterator[JobOutcome]) -> dict[int, JobOutcome]:
@@ -32,7 +37,9 @@ def by_job(outcomes: Iterator[JobOutcome]) -> dict[int, JobOutcome]:
     return {outcome.index: outcome for outcome in found}
 
 
-def test_all_jobs_are_done_whatever_becomes_of_some(executor: Executor, tmp_path: Path) -> None:
+def test_all_jobs_are_done_whatever_becomes_of_some(
+    executor: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     told: dict[int, float] = {}
     jobs = [1, "wrong", tmp_path / "once", "die", *range(2, 12)]
     found = by_job(executor.run(do, jobs, lambda index, share: told.update({index: share})))
@@ -45,11 +52,13 @@ def test_all_jobs_are_done_whatever_becomes_of_some(executor: Executor, tmp_path
     assert "died 4 times" in str(found[3].error)
     assert set(told) <= set(range(14))
     assert told
-
-
-def test_a_defect_is_raised(executor: Executor) -> None:
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(ZeroDivisionError):  # a defect is raised
         by_job(executor.run(do, ["defect"]))
+    if not isinstance(executor, LocalExecutor):  # a machine that lacks what is here
+        (tmp_path / "only_here.py").write_text("def do(job, report):\n    return job\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        with pytest.raises(ConfigError, match=r"cannot import what it is to do .*No module named 'only_here'"):
+            by_job(executor.run(import_module("only_here").do, [1]))
 
 
 def test_one_worker_works_in_this_process() -> None:
@@ -76,12 +85,6 @@ def test_one_worker_in_a_process_of_its_own(tmp_path: Path) -> None:
 def test_what_there_is_not(name: str, options: dict[str, object], said: str) -> None:
     with pytest.raises(ConfigError, match=said.replace("?", r"\?")):
         make_executor(name, **options)  # type: ignore[arg-type]
-
-
-def test_a_machine_that_lacks_the_package() -> None:
-    pytest.importorskip("ray")  # whose processes do not find this file's neighbours of themselves
-    with pytest.raises(ConfigError, match=r"cannot import what it is to do .*No module named 'executors'"):
-        by_job(make_executor("ray", workers=1).run(do, [1]))
 
 
 def _lost(name: str) -> Exception:
