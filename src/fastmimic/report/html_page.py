@@ -37,7 +37,7 @@ class Picture:
         if isinstance(source, Path):
             return cls(embedded(source, "image/png"), text)
         out = io.BytesIO()
-        source.savefig(out, format="png", dpi=style.DPI)
+        source.savefig(out, format="png", dpi=0.7 * style.DPI)  # half as large a page, which is no wider
         return cls(_url(out.getvalue(), "image/png"), text)
 
 
