@@ -22,10 +22,7 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)
 
-# Torch without CUDA, where the index has such a build.
-test-skipped: $(VENV)/.installed-dev
-	$(INSTALL) torch==2.13.0
-	$(INSTALL) --editable '.[rl,ray]' onnxruntime pandas
+test-skipped: $(VENV)/.installed-all
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --skipped $(PYTEST_ARGS)
 
 lint: $(VENV)/.installed-dev
@@ -65,3 +62,9 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/.made
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/.made
 	$(INSTALL) --editable '.[dev]'
 	touch $@ $(VENV)/.installed
+
+# Torch without CUDA, where the index has such a build.
+$(VENV)/.installed-all: $(VENV)/.installed-dev
+	$(INSTALL) torch==2.13.0
+	$(INSTALL) --editable '.[rl,ray]' onnxruntime pandas
+	touch $@

@@ -94,6 +94,12 @@ def run(finished: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "run", ignore=shutil.ignore_patterns("*.html")))
 
 
+@pytest.fixture
+def no_replay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports without it, which has tests of its own."""
+    monkeypatch.setattr("fastmimic.viewer.replay.recorded", lambda episodes: "")
+
+
 @pytest.fixture(scope="module")
 def page(finished: Path) -> Parsed:
     """Its report."""
@@ -194,6 +200,7 @@ def test_says_so_if_the_episodes_do_not_come_out_the_same(run: Path) -> None:
         ("video.mp4", {"video"}, {"optimisation", "episodes"}),
     ],
 )
+@pytest.mark.usefixtures("no_replay")
 def test_goes_without_what_is_missing(
     run: Path, capsys: pytest.CaptureFixture[str], file: str, gone: set[str], stays: set[str]
 ) -> None:
@@ -264,6 +271,7 @@ def test_of_a_motion_done_once_no_cycle_and_no_drift_is_told(run: Path, page: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_replay")
 def test_of_a_take_it_runs_first_as_it_is(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
