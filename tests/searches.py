@@ -10,9 +10,8 @@ from fastmimic.commands import options
 from fastmimic.optimize.parameters import FinalChoice
 
 QUICK_CHOICE: Final = FinalChoice(candidates=2, episodes=2, duration_s=0.4)
-_QUICK: Final[dict[str, Any]] = {"choice": QUICK_CHOICE, "evaluation_s": 0.6}
 PART_DURATION_S: Final = 0.6
-"""In place of `fastmimic.imitation.stitch.PART_DURATION_S`."""
+_QUICK: Final[dict[str, Any]] = {"choice": QUICK_CHOICE, "evaluation_s": 0.6, "part_duration_s": PART_DURATION_S}
 
 
 def quick_main(arguments: Sequence[str] | None = None) -> int:

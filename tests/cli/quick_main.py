@@ -4,13 +4,9 @@ import gc
 import signal
 import sys
 
-from searches import PART_DURATION_S, quick_main
+from searches import quick_main
 
 if __name__ == "__main__":
     gc.set_threshold(50_000, 20, 100)  # as in `conftest`
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a test runner in the background has it ignored
-    if sys.argv[1] == "stitch":
-        from fastmimic.imitation import stitch
-
-        stitch.PART_DURATION_S = PART_DURATION_S
     sys.exit(quick_main())

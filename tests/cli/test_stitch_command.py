@@ -6,7 +6,7 @@ import json
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +16,9 @@ import pytest
 from cli.running import Outcome, Run, wait_for_iteration
 from cli.test_imitate import assert_same_run, metrics
 from fastmimic.motion.motion import Motion
-from searches import PART_DURATION_S, quick_main
+from searches import quick_main
 
 TINY = ("--cycles", "2", "--iterations", "2", "--part-iterations", "2", "--population", "4", "--no-video")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def short_parts() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fastmimic.imitation.stitch.PART_DURATION_S", PART_DURATION_S)
-        yield
 
 
 @pytest.fixture(scope="module")

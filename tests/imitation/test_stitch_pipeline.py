@@ -2,7 +2,6 @@
 
 import dataclasses
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +25,8 @@ FEW: dict[str, Any] = {
     "part_iterations": 1,
     "workers": 1,
     "choice": FinalChoice(1, 1, duration_s=0.4),
+    "part_duration_s": PART_DURATION_S,
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def short_parts() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fastmimic.imitation.stitch.PART_DURATION_S", PART_DURATION_S)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,6 @@ from fastmimic.runs.work_folder import CHECKPOINT, CHECKPOINTS, PART_CHECKPOINT
 from fastmimic.stitching.join import stitch_motions
 
 PART_POPULATION: Final = 10
-PART_DURATION_S: Final = 5.0  # of the episodes in which a motion is optimised by itself
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,6 +65,7 @@ def stitch(
     progress: Callable[[Progress], None] | None = None,
     stage: Callable[[str], None] = lambda name: None,
     choice: FinalChoice = FinalChoice(),
+    part_duration_s: float = 5.0,
 ) -> Stitching:
     """Stitches motions and optimises all their DMPs together, over the whole episode, from each motion's own optimum,
     which `imitate` finds first if need be. Each occurrence of a motion has its own parameters.
@@ -81,6 +81,7 @@ def stitch(
         resume: continue from the checkpoints in the folder. Once the whole has begun, the motions' own are only read.
         stage: called with the name of each stage as it begins.
         choice: as in `imitate`, for each motion and for the whole.
+        part_duration_s: length of the episodes in which a motion is optimised by itself, s.
 
     Raises `FastMimicError` if an argument is wrong. Checkpoints survive Ctrl-C, which raises `KeyboardInterrupt` before
     the whole is optimised.
@@ -111,7 +112,8 @@ def stitch(
                 for path in checkpoints.glob(CHECKPOINTS):
                     remove_file(path)
             imitated = time.perf_counter()
-            parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, settings, stage)
+            own = settings | {"duration_s": part_duration_s}
+            parts = _optimised_parts(motions, robot, part_iterations, checkpoints, resume, own, stage)
             elsewhere += time.perf_counter() - imitated
         starts = [parameters_of(parts[id(m)].motion if id(m) in parts else m) for m in motions]
         group = needed_group(chosen.parameters if chosen.optimises else FOOT_HEIGHT, *starts)
@@ -172,7 +174,7 @@ def _optimised_parts(
         todo.append((i, motion, path, again, count))
     for i, motion, path, again, count in todo:
         say(f"{motion.name} by itself, {i} of {len(distinct)}")
-        own = {**settings, "iterations": count, "duration_s": PART_DURATION_S}
+        own = {**settings, "iterations": count}
         out[id(motion)] = imitate(motion, robot, checkpoint=path, resume=again, **own)
         if out[id(motion)].interrupted:
             raise KeyboardInterrupt
