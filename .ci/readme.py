@@ -27,6 +27,7 @@ from fastmimic.base.registry import load_extensions
 from fastmimic.steering import gait_field
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+from few_gaits import FEW
 from searches import QUICK_CHOICE, quick_main
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -35,18 +36,6 @@ COLUMN_OF_POINT = (0, 3, 11, 6, 20, 16, 15, 10, 23, 19)
 """Which of a dog file's 27 points each of `POINT_NAMES` is."""
 LONG = {"view", "play", "robot-sim", "data", "train", "compare", "stress", "transfer", "library"}
 """Verbs that take long, wait for a user, or fetch."""
-GAITS = gait_field.Grid((0.0, 1.5), (-0.4, 0.0, 0.4), (2.0, 0.9))
-"""The velocities of a steered robot here: those of the tests, whose solutions are in the package."""
-
-
-def slow(speed: float) -> gait_field.Grid:
-    return gait_field.Grid((0.0, speed), (-speed / 3.0, speed / 3.0), (1.0, 0.6))
-
-
-def fast(speed: float) -> gait_field.Grid:
-    return gait_field.Grid((0.8 * speed, speed), (0.0, 0.1 * speed), (0.8, 0.6))
-
-
 SHELL = re.compile(r"[|&;<>$`(){}\[\]*]|^(?!fastmimic )", re.MULTILINE)
 """In a bash block: more than commands of `fastmimic`, one a line."""
 
@@ -66,7 +55,7 @@ def main(folder: Path, pages: list[Path]) -> None:
     np.save("points.npy", fm.open_clip("walk").points_w)
     Path("way.csv").write_text("0.5,0.5,0,0\n1.5,0,0,0\n2,0,0,0\n")
     Path("my_robot.xml").write_text(fm.load_robot("go1").spec().to_xml(), encoding="utf-8")
-    gait_field.gait_field = partial(gait_field.gait_field, grid=GAITS, slow=slow, fast=fast)
+    gait_field.gait_field = partial(gait_field.gait_field, **FEW)
     fm.evaluate("trot", duration_s=0.1)  # loads what commands need, once for all of them
     for page, text in [(page, page.read_text(encoding="utf-8")) for page in pages]:
         for reason, language, code in BLOCK.findall(text):

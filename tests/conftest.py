@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from fastmimic.robot import Robot, load_robot
-from fastmimic.steering.gait_field import GaitField, Grid, gait_field
+from fastmimic.steering.gait_field import GaitField, gait_field
+from few_gaits import FEW
 
 SKIPPED = "fastmimic/skipped"
 """Where the cache keeps the tests and files that the last run skipped."""
@@ -46,15 +47,7 @@ def a1(robot: Robot) -> Robot:
 @pytest.fixture(scope="session")
 def gaits() -> GaitField:
     """A walk, a trot and a canter of the A1 at few velocities, whose solutions are in the package."""
-
-    def slow(speed: float) -> Grid:
-        return Grid((0.0, speed), (-speed / 3.0, speed / 3.0), (1.0, 0.6))
-
-    def fast(speed: float) -> Grid:
-        return Grid((0.8 * speed, speed), (0.0, 0.1 * speed), (0.8, 0.6))
-
-    grid = Grid((0.0, 1.5), (-0.4, 0.0, 0.4), (2.0, 0.9))
-    return gait_field("a1", grid=grid, slow=slow, fast=fast)
+    return gait_field("a1", **FEW)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -155,10 +155,11 @@ def test_the_figure_of_episodes_shows_them_until_a_fall(robot: Robot) -> None:
     stands = run_episodes(robot, motion, duration_s=1.0, config=config, log=True)
     falls = run_episodes(replace(robot, torque_limit=0.2 * robot.torque_limit), motion, duration_s=1.0, log=True)
     assert falls.fell.all()
-    figure = episode_figure(robot, config, {"before": falls, "after": stands}, (0.0, 0.5), "trot")
+    figure = episode_figure(robot, config, {"before": falls, "after": stands}, (0.0, 0.5), "trot", [0.25])
     panels = {axes.get_title("left").partition(":")[0]: axes for axes in figure.axes}
-    assert panels["reward"].get_title("left").endswith(f" → {stands.reward[0]:.3f}")
-    before, after = panels["reward"].get_lines()
+    assert panels["reward"].get_title("left") == f"reward: mean {falls.reward[0]:.3f} → {stands.reward[0]:.3f}"
+    before, after, border = panels["reward"].get_lines()
+    assert list(border.get_xdata()) == [0.25, 0.25]
     assert np.isfinite(after.get_ydata()).all()
     assert np.isnan(np.asarray(before.get_ydata())[falls.steps[0] :]).all()
     assert np.nanmax(np.asarray(panels["torque, share of the limit"].get_lines()[1].get_ydata())) <= 1.0

@@ -1,6 +1,7 @@
 """The figures of what a robot did: gait, reward, load on motors and feet; of a deployment also its timing."""
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -26,10 +27,16 @@ Curve = tuple[Array, Line, str]  # values (t,), how they are drawn, and their na
 
 
 def episode_figure(
-    robot: Robot, config: ControllerConfig, rollouts: Mapping[str, Rollout], window_s: tuple[float, float], title: str
+    robot: Robot,
+    config: ControllerConfig,
+    rollouts: Mapping[str, Rollout],
+    window_s: tuple[float, float],
+    title: str,
+    borders_s: Sequence[float] = (),
 ) -> Figure:
     """The gait of the last of the logged `rollouts` by name, at the times `window_s`, s; and over the whole episodes,
-    until a fall, their rewards, the reward's terms, and how much of torque, joint speed and friction they use."""
+    until a fall, their rewards, the reward's terms, and how much of torque, joint speed and friction they use. Lines
+    are drawn at `borders_s`, s, between the segments of a stitched motion. Means count steps after a fall as 0."""
     figure = style.new_figure(14.0, 11.0, title, below=0.7)
     terms = list(REWARD_TERMS)
     rows: list[Any] = [["reward", *terms[:2]], terms[2:], ["torque", "joint speed", "friction"]]
@@ -42,9 +49,12 @@ def episode_figure(
         for key, values in _curves(robot, rollout).items():
             values[rollout.steps[0] :] = np.nan
             curves[key].append((values, line, name))
-    for key, weight in zip(("reward", *terms), (None, *reward_weights()), strict=True):
-        said = f"{key.replace('_', ' ')}{'' if weight is None else f', weight {weight:g}'}: mean"
-        _draw(panels[key], time, curves[key], f"{said} {_each(curves[key], np.nanmean, 3)}")
+    _draw(
+        panels["reward"], time, curves["reward"], f"reward: mean {_arrow([r.reward[0] for r in rollouts.values()], 3)}"
+    )
+    for i, (key, weight) in enumerate(zip(terms, reward_weights(), strict=True)):
+        means = _arrow([rollout.terms[0, i] for rollout in rollouts.values()], 3)
+        _draw(panels[key], time, curves[key], f"{key.replace('_', ' ')}, weight {weight:g}: mean {means}")
     for key in ("torque", "joint speed"):
         most = _each(curves[key], np.nanmax, 2)
         _draw(panels[key], time, curves[key], f"{key}, share of the limit: at most {most}", limit=1.0)
@@ -53,6 +63,8 @@ def episode_figure(
     _draw(panels["friction"], time, curves["friction"], said, limit=GROUND_FRICTION)
     for name in rows[-1]:
         panels[name].set_xlabel("time (s)", fontsize=9, color=style.MUTED)
+    for axes, border in product(panels.values(), borders_s):
+        axes.axvline(border, color=style.MUTED, linestyle="dashed", linewidth=0.8)
     handles = panels["gait"].get_legend_handles_labels()[0]
     style.legend_below(figure, panels["torque"], handles)
     return figure
@@ -60,14 +72,15 @@ def episode_figure(
 
 def _curves(robot: Robot, rollout: Rollout) -> dict[str, Array]:
     """(t,) of each panel: the reward and its terms; the greatest share of the joints' limits; tangential over normal
-    force of the foot that needs most friction."""
+    force of the loaded foot that needs most friction, NaN without any."""
     log = rollout.course
     torque = np.abs(motor_torque(log, robot.torque_limit)) / robot.torque_limit
     speed = np.abs(log.observation["joint_vel"][0]) / robot.joint_speed_limit
     force = log.observation["foot_force"][0]
     loaded = force[..., 2] > _LOADED * robot.mass * GRAVITY
-    friction = np.hypot(force[..., 0], force[..., 1]) / np.where(loaded, force[..., 2], np.inf)
-    uses = {"torque": torque.max(axis=1), "joint speed": speed.max(axis=1), "friction": friction.max(axis=1)}
+    ratio = np.hypot(force[..., 0], force[..., 1]) / np.where(loaded, force[..., 2], np.inf)
+    friction = np.where(loaded.any(axis=1), ratio.max(axis=1), np.nan)
+    uses = {"torque": torque.max(axis=1), "joint speed": speed.max(axis=1), "friction": friction}
     return {"reward": log.reward[0].copy(), **dict(zip(REWARD_TERMS, log.terms[0].T.copy(), strict=True)), **uses}
 
 
@@ -82,7 +95,10 @@ def motor_torque(log: Log, limit: Array) -> Array:
 
 def _each(curves: Sequence[Curve], figure: Any, digits: int) -> str:
     """A figure of each curve, the earlier first."""
-    found = [figure(values) if np.isfinite(values).any() else np.nan for values, *_ in curves]
+    return _arrow([figure(values) if np.isfinite(values).any() else np.nan for values, *_ in curves], digits)
+
+
+def _arrow(found: Sequence[float], digits: int) -> str:
     return " → ".join(f"{value:.{digits}f}" if np.isfinite(value) else "–" for value in found)
 
 

@@ -20,8 +20,7 @@ def deployment_page(path: Path) -> HtmlReport:
             if "result" not in log.meta:
                 log = with_result(robot_of(log), log)
             about = log.meta
-            text = "The height is the estimate, which there is while the controller is at work."
-            pictures.append(Picture.of(deployment_figure(log, f"{about['motion']} on {about['robot']}"), text))
+            pictures.append(Picture.of(deployment_figure(log, f"{about['motion']} on {about['robot']}"), "log"))
         except DeploymentError as error:
             if not (path / RESULT).is_file():
                 raise

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import jinja2
 from markdown_it import MarkdownIt
@@ -18,27 +18,29 @@ from matplotlib.figure import Figure
 
 from fastmimic import __version__
 from fastmimic.base.errors import ConfigError, FastMimicError, OutputError
-from fastmimic.base.files import write_text
+from fastmimic.base.files import packaged, write_text
 from fastmimic.base.text import NONE
 from fastmimic.imitation.methods import METHODS
 from fastmimic.render import figure_style as style
 
+_CAPTIONS: Final = packaged("fastmimic.report", "captions.json", dict[str, str])
+
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of a page: its `data:` URL, and what it shows."""
+    """A picture of a page: its `data:` URL, and what it shows, by its file's name or another in `captions.json`."""
 
     url: str
     text: str
 
     @classmethod
-    def of(cls, source: Path | Figure, text: str) -> "Picture":
+    def of(cls, source: Path | Figure, name: str = "") -> "Picture":
         """Of a PNG file, or of a figure drawn now; raises `OutputError` if the file cannot be read."""
         if isinstance(source, Path):
-            return cls(embedded(source, "image/png"), text)
+            return cls(embedded(source, "image/png"), _CAPTIONS.get(source.name, f"{source.stem.capitalize()}."))
         out = io.BytesIO()
         source.savefig(out, format="png", dpi=0.7 * style.DPI)  # half as large a page, which is no wider
-        return cls(_url(out.getvalue(), "image/png"), text)
+        return cls(_url(out.getvalue(), "image/png"), _CAPTIONS.get(name, name))
 
 
 @dataclass(frozen=True)

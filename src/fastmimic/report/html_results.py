@@ -2,7 +2,7 @@
 
 import csv
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import read_json
@@ -10,18 +10,11 @@ from fastmimic.experiments import comparison_run as compared
 from fastmimic.report.html_page import HtmlReport, Picture, render
 from fastmimic.runs.work_folder import ENVIRONMENT, RESULTS_CSV, TABLE
 
-_CAPTIONS: Final = {
-    compared.COMPARISON: "Reward of each method on each motion.",
-    compared.TRACKING_FIGURE: "A foot before and after optimisation, and the errors of all feet.",
-    compared.ABLATION_FIGURE: "What each part of the method contributes.",
-}
-
 
 def results_page(path: Path) -> HtmlReport:
     """The page of an experiment's folder; raises `ConfigError` if its files cannot be read."""
     about = read_json(path / ENVIRONMENT)
-    files = sorted(path.glob("*.png"))
-    pictures = [Picture.of(file, _CAPTIONS.get(file.name, f"{file.stem.capitalize()}.")) for file in files]
+    pictures = [Picture.of(file) for file in sorted(path.glob("*.png"))]
     tables = [_text(path / name) for name in (TABLE, compared.ABLATION_TABLE) if (path / name).is_file()]
     rows = [*csv.reader(_text(path / RESULTS_CSV).splitlines())] if (path / RESULTS_CSV).is_file() else []
     missing = [] if pictures else [f"{path} has no figures: without them"]

@@ -27,20 +27,6 @@ from fastmimic.report.html_page import HtmlReport, Picture, leaving_out, render,
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, CONVERGENCE, METRICS, MOTION, TRACKING, VIDEO
 
-_SEARCH = (
-    "The objective of the search is the reward of an episode less a penalty for feet lifted too little. The result is"
-    " chosen by longer, perturbed episodes among the best candidates and the motion as fitted."
-)
-_FEET = "The feet in the body frame against the demonstration that the reward compares with, until a fall."
-_REFERENCE = (
-    "The motion that the robot follows, behind it in grey the animal's own; below, the use of the limits that it was"
-    " planned within."
-)
-_EPISODES = (
-    "What happened in the simulation. Of each leg: what the motion wants, the gait planner's state, the measured load."
-    " Torques are cut off at the limit; where friction reaches that of the ground a foot slides."
-)
-
 
 @dataclass(frozen=True, eq=False)
 class RerunEpisodes:
@@ -49,9 +35,7 @@ class RerunEpisodes:
     robot: Robot
     motion: Motion
     config: ControllerConfig
-    rollouts: dict[
-        str, Rollout
-    ]  # "not optimised" with the demonstration; or "before" with that, "after" with its result
+    rollouts: dict[str, Rollout]  # "before" with the demonstration, "after" with the result; or "not optimised" alone
     differences: tuple[str, ...]  # sentences about rewards that differ from `metrics.json`
 
     @property
@@ -64,9 +48,11 @@ class RerunEpisodes:
     def pictures(self) -> list[Picture]:
         """The motion, and what the robot did."""
         title = f"{self.motion.name} on {self.robot.name}"
-        window = shown_window(self.motion.target, [*self.rollouts.values()])
-        done = episode_figure(self.robot, self.config, self.rollouts, window, title)
-        return [Picture.of(motion_figure(self.motion, self.robot), _REFERENCE), Picture.of(done, _EPISODES)]
+        target = self.motion.target
+        window = shown_window(target, [*self.rollouts.values()])
+        borders = [start / target.rate_hz for start in target.segment_starts if start]
+        done = episode_figure(self.robot, self.config, self.rollouts, window, title, borders)
+        return [Picture.of(motion_figure(self.motion, self.robot), "motion"), Picture.of(done, "episodes")]
 
 
 class _Figures(msgspec.Struct):
@@ -94,10 +80,10 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
     episodes, played = None, ""
     with leaving_out("arguments and controller, and without the pictures of the episodes", missing):
         config = _config(path)
-    for part, name, text in (("optimisation", CONVERGENCE, _SEARCH), ("tracking", TRACKING, _FEET)):
+    for part, name in (("optimisation", CONVERGENCE), ("tracking", TRACKING)):
         if m["parameters"] or part != "optimisation":
             with leaving_out("that picture", missing):
-                pictures[part] = [Picture.of(path / name, text)]
+                pictures[part] = [Picture.of(path / name)]
     if config:
         with leaving_out("the pictures of the episodes", missing):
             episodes = _run_again(path, m, config)

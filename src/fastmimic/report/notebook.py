@@ -47,7 +47,7 @@ def _table(columns: dict[str, Rollout]) -> str:
 
 
 def _picture(figure: Figure) -> str:
-    return f'<img style="max-width: 100%" src="{Picture.of(figure, "").url}">'
+    return f'<img style="max-width: 100%" src="{Picture.of(figure).url}">'
 
 
 def _video(result: Imitation) -> str:
