@@ -12,6 +12,25 @@ import pytest
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 SOFTWARE_GL = ("--no-sandbox", "--enable-unsafe-swiftshader")
 PATIENCE_S = 180.0
+FEW_FRAMES = """
+window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 100);
+window.cancelAnimationFrame = clearTimeout;
+"""
+
+
+def open_page(browser: Any, width: int, height: int, **options: Any) -> Any:
+    """A page that draws ten times a second: without a graphics card, 60 frames would take all cores."""
+    context = browser.new_context(viewport={"width": width, "height": height}, **options)
+    context.add_init_script(FEW_FRAMES)
+    page = context.new_page()
+    page.set_default_timeout(1e3 * PATIENCE_S)
+    return page
+
+
+def plainly(server: Any) -> None:
+    """Has the pages of viser's server draw without shadows and reflections, which take most of the time."""
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(cast_shadow=False)
 
 
 def until(condition: Callable[[], bool], page: Any) -> None:

@@ -11,9 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from browsing import browser
 from fastmimic.robot import Robot, load_robot
 from fastmimic.steering.gait_field import GaitField, gait_field
 from few_gaits import FEW
+
+__all__ = ["browser"]
 
 SKIPPED = "fastmimic/skipped"
 """Where the cache keeps the tests and files that the last run skipped."""

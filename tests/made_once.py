@@ -37,6 +37,7 @@ def made_once(monkeypatch: pytest.MonkeyPatch) -> None:
     savefig = Figure.savefig
 
     def drawn(figure: Figure, file: BinaryIO, **options: Any) -> None:
+        options["dpi"] = 40
         if isinstance(file, io.BytesIO):
             savefig(figure, file, **options)
             return
@@ -49,4 +50,3 @@ def made_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Figure, "savefig", drawn)
     monkeypatch.setattr(module, "retarget", remembered)
-    monkeypatch.setattr("fastmimic.render.figure_style.DPI", 40)

@@ -111,6 +111,18 @@ def test_a_recorded_dog_survives_every_format(data_folder: Path, tmp_path: Path)
         np.testing.assert_allclose(read.points_w, clip.points_w, atol=1e-3, err_msg=name)
 
 
+def test_how_many_blocks_a_table_has_is_counted_and_not_believed(tmp_path: Path) -> None:
+    """A damaged count asked for all memory."""
+    name = "deeplabcut_fixed.h5"
+    needs(name)
+    import h5py
+
+    options = FILES[name][1](tmp_path / name, walk())
+    with h5py.File(tmp_path / name, "a") as file:
+        file["df_with_missing"].attrs.update(nblocks=1_000_000, block0_items_nlevels=1_000_000)
+    np.testing.assert_allclose(read_clip(tmp_path / name, options).points_w, walk(), atol=1e-3)
+
+
 @pytest.mark.parametrize("name", ["deeplabcut.csv", "anipose.csv"])
 def test_tracks_without_a_rate_ask_for_one(name: str, tmp_path: Path) -> None:
     FILES[name][1](tmp_path / name, walk(1))

@@ -202,13 +202,11 @@ def test_opening_and_closing_send_nothing(go2: Robot, publisher: Publisher) -> N
     assert driver.packets.sent == 0
 
 
-def test_a_robot_elsewhere_whose_software_cannot_be_asked_gets_no_command(
-    go2: Robot, publisher: Publisher, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(messages, "LOOPBACK", "another")
-    monkeypatch.setattr(messages, "FIND_FAR_S", 0.1)
-    with publisher.talking(), pytest.raises(DriverError, match="no service 'motion_switcher' on 'lo'"):
-        Go2Driver(go2, domain=publisher.domain).open()
+def test_a_robot_elsewhere_whose_software_cannot_be_asked_is_not_taken_over(publisher: Publisher) -> None:
+    with contextlib.closing(Participant(publisher.domain)) as participant:
+        participant.interface = "another"
+        with pytest.raises(DriverError, match="no service 'motion_switcher' on 'another'"):
+            messages.release_motion_service(participant, lambda: True, print, find_far_s=0.1)
 
 
 def test_a_publisher_without_checksums_and_ticks_is_taken_as_it_is(go2: Robot, publisher: Publisher) -> None:

@@ -211,12 +211,9 @@ def test_the_driver_finds_its_service_has_it_lie_down_and_let_go(
     assert not sim.body.fell
 
 
-def test_a_robot_that_does_not_lie_down_is_not_let_go_of(
-    go2: Robot, simulated: Callable[..., SimServer], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_robot_that_does_not_lie_down_is_not_let_go_of(go2: Robot, simulated: Callable[..., SimServer]) -> None:
     sim = simulated(start="standing")
-    monkeypatch.setattr(messages, "LIE_DOWN_S", 0.2)
-    monkeypatch.setattr(messages, "STAND_DOWN", 4711)
+    del sim.services[messages.SPORT].handlers[messages.STAND_DOWN]
     with pytest.raises(DriverError, match=r"answered with code 3203 and it still stands"):
         Go2Driver(go2, domain=sim.settings.domain).open()
     assert sim.body.service.active

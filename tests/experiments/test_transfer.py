@@ -1,5 +1,6 @@
 """Transfer: the same starts and motion in every column, and what is made of the rows."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -71,25 +72,20 @@ class TestTrials:
 class TestIdentified:
     @pytest.mark.slow
     def test_the_controller_is_told_what_another_run_says(
-        self, rows: list[dict[str, Any]], subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch
+        self, rows: list[dict[str, Any]], subject: Subject, robot: Robot
     ) -> None:
-        from fastmimic.experiments import transfer
-
-        monkeypatch.setattr(transfer, "IDENTIFICATION_S", 1.2)
-        told = identified_config(subject, robot, SETTINGS)
+        settings = replace(SETTINGS, identify=True, identification_s=1.2)
+        told = identified_config(subject, robot, settings)
         assert told.robot == robot.name
         assert told.stance.friction <= subject.config.stance.friction
-        found = run_trials(subject, robot, TransferSettings(trials=2, duration_s=0.6, identify=True))
+        found = run_trials(subject, robot, settings)
         assert found[: len(rows)] == rows
         assert [(row["stage"], row["trial"]) for row in found[len(rows) :]] == [("identified", 0), ("identified", 1)]
 
     def test_a_run_that_says_nothing_leaves_the_controller_alone(
-        self, subject: Subject, robot: Robot, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+        self, subject: Subject, robot: Robot, caplog: pytest.LogCaptureFixture
     ) -> None:
-        from fastmimic.experiments import transfer
-
-        monkeypatch.setattr(transfer, "IDENTIFICATION_S", 0.3)
-        assert identified_config(subject, robot, SETTINGS) is subject.config
+        assert identified_config(subject, robot, replace(SETTINGS, identification_s=0.3)) is subject.config
         assert "nothing was identified: the log is 0.30 s long" in caplog.text
 
     def test_has_a_column_of_its_own(self) -> None:

@@ -1,5 +1,6 @@
 """Training: it learns, it goes on as if it had not stopped, and what it writes is what it learnt."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +21,13 @@ from fastmimic.robot import Robot  # noqa: E402
 from fastmimic.runs.loading import load_motion  # noqa: E402
 from learning.hand_made import actions_of  # noqa: E402
 
+briefly = partial(training.evaluate_policy, duration_s=0.4, perturbed_episodes=1)
 SMALL = TrainingSettings(robots=6, horizon=8, hidden=(16,), epochs=2, minibatches=2, episode_s=0.5)
 
 
 @pytest.fixture(scope="module")
 def motion(robot: Robot) -> Motion:
     return load_motion("side-step", robot)
-
-
-@pytest.fixture(autouse=True)
-def short_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training, "EVALUATION_S", 0.4)
-    monkeypatch.setattr(training, "PERTURBED_EPISODES", 1)
 
 
 def weights(policy: Policy) -> np.ndarray:
@@ -52,9 +48,9 @@ def test_the_reward_rises(robot: Robot, motion: Motion) -> None:
 def test_resuming_is_exact(robot: Robot, motion: Motion, tmp_path: Path) -> None:
     per = SMALL.steps_per_iteration
     straight, stopped = TrainingFolder.at(tmp_path / "straight"), TrainingFolder.at(tmp_path / "stopped")
-    whole = training.train(robot, motion, 6 * per, straight, SMALL, evaluate_every=2 * per)
-    training.train(robot, motion, 3 * per, stopped, SMALL, evaluate_every=2 * per, threads=2)
-    rest = training.train(robot, motion, 6 * per, stopped, SMALL, evaluate_every=2 * per, resume=True)
+    whole = training.train(robot, motion, 6 * per, straight, SMALL, evaluate_every=2 * per, evaluate=briefly)
+    training.train(robot, motion, 3 * per, stopped, SMALL, evaluate_every=2 * per, threads=2, evaluate=briefly)
+    rest = training.train(robot, motion, 6 * per, stopped, SMALL, evaluate_every=2 * per, resume=True, evaluate=briefly)
     assert [e.steps for e in whole] == [2 * per, 4 * per, 6 * per]
     assert [e.steps for e in rest] == [2 * per, 3 * per, 4 * per, 6 * per]
     later = {e.steps: e for e in rest}
@@ -67,13 +63,15 @@ def test_resuming_is_exact(robot: Robot, motion: Motion, tmp_path: Path) -> None
 
 def test_a_folder_holds_the_best_policy_and_its_course(robot: Robot, motion: Motion, tmp_path: Path) -> None:
     per = SMALL.steps_per_iteration
-    found = training.train(robot, motion, 3 * per, TrainingFolder.at(tmp_path), SMALL, evaluate_every=per)
+    found = training.train(
+        robot, motion, 3 * per, TrainingFolder.at(tmp_path), SMALL, evaluate_every=per, evaluate=briefly
+    )
     policy = Policy.load(tmp_path / "policy.npz")
     best = max(found, key=lambda e: e.reward + e.reward_perturbed)
     assert policy.training["steps"] == best.steps
     assert policy.about["library"] == "rsl-rl"
     assert (policy.robot, policy.motion, policy.samples) == ("a1", "side-step", motion.n_samples)
-    again = training.evaluate_policy(policy, robot, motion, 0, {"wall_s": 0.0, "cpu_s": 0.0})
+    again = briefly(policy, robot, motion, 0, {"wall_s": 0.0, "cpu_s": 0.0})
     assert (again.reward, again.reward_perturbed) == (best.reward, best.reward_perturbed)
     assert len((tmp_path / "evaluations.csv").read_text().splitlines()) == 4
     assert list((tmp_path / "tensorboard").glob("events.out.tfevents.*"))

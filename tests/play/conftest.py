@@ -1,8 +1,7 @@
-"""A motion, and a browser."""
+"""A motion."""
 
 import pytest
 
-from browsing import browser
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import load_motion
@@ -11,6 +10,3 @@ from fastmimic.runs.loading import load_motion
 @pytest.fixture(scope="session")
 def trot(a1: Robot) -> Motion:
     return load_motion("trot", a1)
-
-
-__all__ = ["browser"]

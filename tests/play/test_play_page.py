@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from browsing import PATIENCE_S, errors_of, picture, until
+from browsing import PATIENCE_S, errors_of, open_page, picture, plainly, until
 from fastmimic.cli import main
 from fastmimic.play.live_panel import IDLE, read_steering, steering_script
 from fastmimic.play.page import LiveHistory
@@ -147,12 +147,13 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
     assert session.library.next_hop(STAND, IN_PLACE) is not None  # made before, so that no second is lost later
     assert session.library.next_hop(IN_PLACE, STAND) is not None
     with served(session, 8750) as live:
-        page = browser.new_page(viewport={"width": 700, "height": 520})
+        plainly(live.server)
+        page = open_page(browser, 700, 520)
         page.add_init_script(GAMEPAD)
         wrong = errors_of(page)
         page.goto(live.url)
         button = page.get_by_role("button", name=IN_PLACE, exact=True)
-        button.wait_for(timeout=1e3 * PATIENCE_S)
+        button.wait_for()
         until(lambda: picture(page).std() > 12.0, page)  # not blank: ground, sky and a dark robot
         trunk = live.scene._bodies[0][0]
 
@@ -186,7 +187,7 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
         assert "real time" in live.panel._state.content
         assert "µs" in live.panel._figures.content
         assert wrong == []
-        page.close()
+        page.context.close()
 
 
 @pytest.mark.slow
@@ -197,11 +198,12 @@ def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
         return [round(float(value), 2) for value in session.reference._asked]
 
     with served(session, 8755) as live:
-        page = browser.new_page(viewport={"width": 700, "height": 520})
+        plainly(live.server)
+        page = open_page(browser, 700, 520)
         page.add_init_script(GAMEPAD)
         wrong = errors_of(page)
         page.goto(live.url)
-        page.get_by_role("button", name="Stop", exact=True).wait_for(timeout=1e3 * PATIENCE_S)
+        page.get_by_role("button", name="Stop", exact=True).wait_for()
         until(lambda: picture(page).std() > 12.0, page)
         page.mouse.click(300, 250)
         for key, there in (("ArrowUp", [2.0, 0.0, 0.0]), ("KeyA", [0.0, 0.0, 2.0]), ("KeyE", [0.0, -0.4, 0.0])):
@@ -221,7 +223,7 @@ def test_a_browser_steers(browser: Any, gaits: GaitField) -> None:
         assert session.falls == 0
         assert "m/s" in live.panel._figures.content
         assert wrong == []
-        page.close()
+        page.context.close()
 
 
 def test_a_failure_of_the_simulation_ends_the_page(a1: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ import json
 import shutil
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from browsing import PATIENCE_S, open_page
 from fastmimic.base.files import write_json
 from fastmimic.base.text import csv_text
 from fastmimic.cli import main
@@ -37,10 +37,6 @@ PICTURE = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg=="
 )
 SECTIONS = {"figures", "optimisation", "tracking", "episodes", "run"}
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-
-
-PATIENCE_S = 180.0
 
 
 class Parsed(HTMLParser):
@@ -376,20 +372,6 @@ def test_markdown_is_escaped() -> None:
     assert markdown("a <b> *c*\n\n- `d`: e.") == html
 
 
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A browser that draws without a graphics card."""
-    api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed: pip install playwright")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium: apt-get install chromium")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--enable-unsafe-swiftshader"]
-        )
-        yield browser
-        browser.close()
-
-
 class Tab:
     """A page in a browser without a network, and what it complained about.
 
@@ -402,9 +384,7 @@ class Tab:
     def __init__(self, browser: Any, path: Path, width: int = 1280) -> None:
         self.complaints: list[str] = []
         self.requests: list[str] = []
-        self._context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
-        self.page = self._context.new_page()
-        self.page.set_default_timeout(1e3 * PATIENCE_S)
+        self.page = open_page(browser, width, 800, offline=True)
         self.page.on("console", self._heard)
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
         self.page.on("request", self._asked)
@@ -415,7 +395,7 @@ class Tab:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._context.close()
+        self.page.context.close()
 
     def _heard(self, message: Any) -> None:
         known = ("media", "video", "gl driver message", "three.clock")  # no real video here, and no graphics card
@@ -429,8 +409,8 @@ class Tab:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
-def test_a_browser_draws_it(page: Parsed, finished: Path, chromium: Any, width: int) -> None:
-    with Tab(chromium, finished / "report.html", width) as tab:
+def test_a_browser_draws_it(page: Parsed, finished: Path, browser: Any, width: int) -> None:
+    with Tab(browser, finished / "report.html", width) as tab:
         drawn = tab.page.evaluate("[...document.images].map(i => [i.naturalWidth, i.getBoundingClientRect().width])")
         overflow = tab.page.evaluate("document.documentElement.scrollWidth")
     assert tab.complaints == []
@@ -441,12 +421,12 @@ def test_a_browser_draws_it(page: Parsed, finished: Path, chromium: Any, width: 
 
 
 @pytest.mark.slow
-def test_the_replay_opens_on_demand_and_plays_without_a_network(page: Parsed, finished: Path, chromium: Any) -> None:
+def test_the_replay_opens_on_demand_and_plays_without_a_network(page: Parsed, finished: Path, browser: Any) -> None:
     def colours(tab: Tab) -> int:
         picture = Image.open(io.BytesIO(tab.page.locator(".replay").screenshot())).convert("RGB").resize((160, 100))
         return len(picture.getcolors(16000) or [None] * 16000)
 
-    with Tab(chromium, finished / "report.html", width=500) as tab:
+    with Tab(browser, finished / "report.html", width=500) as tab:
         assert tab.page.locator("iframe").count() == 0
         assert colours(tab) < 500
         tab.page.click("button[data-opens]")
@@ -465,11 +445,11 @@ def test_the_replay_opens_on_demand_and_plays_without_a_network(page: Parsed, fi
 
 
 @pytest.mark.slow
-def test_a_heading_sorts_its_table(compared: Path, chromium: Any) -> None:
+def test_a_heading_sorts_its_table(compared: Path, browser: Any) -> None:
     place = COLUMNS.index("reward_mean")
     report = make_report(compared)
     report.save(compared / "report.html")
-    with Tab(chromium, compared / "report.html") as tab:
+    with Tab(browser, compared / "report.html") as tab:
         tab.page.click("summary")
         heading = tab.page.locator("#each th").nth(place)
         orders = []

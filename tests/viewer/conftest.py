@@ -1,8 +1,7 @@
-"""A robot, a short rollout of it, its take, and a browser."""
+"""A short rollout of a robot, and its take."""
 
 import pytest
 
-from browsing import browser
 from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.evaluate import evaluate
@@ -27,6 +26,3 @@ def rollout(trot: Motion, a1: Robot) -> Rollout:
 @pytest.fixture(scope="session")
 def take(rollout: Rollout, trot: Motion, a1: Robot) -> Take:
     return rollout_take(rollout, trot, a1, ControllerConfig(), "trot")
-
-
-__all__ = ["browser"]

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from browsing import PATIENCE_S, until
+from browsing import PATIENCE_S, open_page, until
 from fastmimic.base.errors import ConfigError
 from fastmimic.viewer.viewer import HOST, Gate, WebPage
 
@@ -186,7 +186,7 @@ OPENING = """url => new Promise(done => {
 def test_a_browser_opens_the_address_and_another_site_in_it_gets_nothing(
     browser: Any, page: WebPage, foreign_site: str
 ) -> None:
-    sees = browser.new_page()
+    sees = open_page(browser, 700, 520)
     sees.goto(page.url)
     until(page.watched, sees)
     socket_url, opening = page.url.replace("http:", "ws:"), OPENING % viser.__version__
@@ -195,4 +195,4 @@ def test_a_browser_opens_the_address_and_another_site_in_it_gets_nothing(
     assert "whole address" in sees.inner_text("body")
     sees.goto(foreign_site)
     assert sees.evaluate(opening, socket_url) == "refused"  # although it knows the token
-    sees.close()
+    sees.context.close()

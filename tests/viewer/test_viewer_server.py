@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from browsing import PATIENCE_S, picture, until
+from browsing import PATIENCE_S, errors_of, open_page, picture, plainly, until
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ConfigError
 from fastmimic.cli import main
@@ -168,12 +168,11 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
         thread = threading.Thread(target=viewer.run, args=(stop,))
         thread.start()
         try:
-            page = browser.new_page(viewport={"width": 900, "height": 420})
-            wrong: list[str] = []
-            page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-            page.on("pageerror", lambda error: wrong.append(str(error)))
+            plainly(viewer.server)
+            page = open_page(browser, 900, 420)
+            wrong = errors_of(page)
             page.goto(viewer.url)
-            page.get_by_role("button", name="Play", exact=True).wait_for(timeout=1e3 * PATIENCE_S)
+            page.get_by_role("button", name="Play", exact=True).wait_for()
             until(lambda: picture(page).std() > 12.0, page)  # not blank: ground, sky and a dark robot
             before = picture(page)
             trunk = viewer.robots[0]._bodies[0][0]
@@ -205,7 +204,7 @@ def test_a_browser_sees_the_robot_and_scrubs(browser: Any, take: Take, a1: Robot
             until(lambda: viewer.player.row != take.cycle_starts[1], page)
             page.get_by_role("button", name="Pause", exact=True).wait_for()
             assert wrong == []
-            page.close()
+            page.context.close()
         finally:
             stop.set()
             thread.join()

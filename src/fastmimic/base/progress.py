@@ -25,12 +25,12 @@ def is_watched() -> bool:
 
 
 @contextmanager
-def slow_start(text: str = "preparing") -> Iterator[Callable[[], None]]:
-    """Prints `text`, and whether it compiles, if the block is busy for long and has not called the yielded function."""
+def slow_start(text: str = "preparing", after_s: float = SLOW_START_S) -> Iterator[Callable[[], None]]:
+    """Prints `text`, and whether it compiles, if within `after_s` the block has not called the yielded function."""
     started, known = threading.Event(), kernels_compiled()
 
     def watch() -> None:
-        if started.wait(SLOW_START_S):
+        if started.wait(after_s):
             return
         compiles = kernels_compiled() > known
         note(f"{text}; {_FIRST_USE}" if compiles else text)

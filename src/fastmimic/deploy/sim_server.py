@@ -123,7 +123,7 @@ class SimServer:
                 messages.STAND_DOWN: lambda: service.lie_down() if service.active else None,
             },
         }
-        self._servers = [messages.ServiceServer(participant, name, found) for name, found in handlers.items()]
+        self.services = {name: messages.ServiceServer(participant, name, found) for name, found in handlers.items()}
 
     def run(self, stop: Event, duration_s: float = math.inf, report: Callable[[Any], None] = lambda sim: None) -> None:
         """Runs in real time until `stop` is set or for `duration_s` simulated; calls `report` every second."""
@@ -186,7 +186,7 @@ class SimServer:
             if not self._dead:
                 self._obey()
         if self.body.steps % _SERVICE_PERIOD == 0 and not self._dead:
-            for server in self._servers:
+            for server in self.services.values():
                 server.poll()
 
     def _obey(self) -> None:

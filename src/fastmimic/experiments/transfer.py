@@ -57,7 +57,6 @@ STAGES: Final = packaged("fastmimic.experiments", "stages.json", tuple[TransferS
 measured on robots of this class, not identified on one."""
 IDENTIFIED: Final = replace(STAGES[-1], name="identified", label="(c) identified")
 """The last stage, with friction and payload identified from a run in it."""
-IDENTIFICATION_S: Final = 5.0  # s, length of that run
 
 PAPER: Final = ("MBC-DMP", 0.803, 0.012, 0.627, 0.096), ("RL", 0.483, 0.195, 0.17, 0.095)
 """The paper's turn: method, reward and its deviation in simulation, then on the robot over three trials."""
@@ -74,6 +73,7 @@ class TransferSettings:
     iterations: int | None = None
     population: int = 10
     identify: bool = False  # whether to run `IDENTIFIED` as well
+    identification_s: float = parameter(5.0, low=0)  # length of the run that it comes from, s
 
     def __post_init__(self) -> None:
         check(self, "")
@@ -115,7 +115,7 @@ def identified_config(subject: Subject, robot: Robot, settings: TransferSettings
     returns the controller unchanged, with a warning."""
     motion, conditions = subject.motion, IDENTIFIED.conditions(settings.seed)
     start = trial_starts(settings.trials + 1, settings.seed).part(slice(settings.trials, None))
-    rollout = subject.run(robot, episode_duration(motion, IDENTIFICATION_S), start, conditions, log=True)
+    rollout = subject.run(robot, episode_duration(motion, settings.identification_s), start, conditions, log=True)
     latency_s = conditions.estimator.latency_s
     log = run_log(rollout.course, 0, robot=robot.name, motion=motion.name, latency_s=latency_s)
     try:
@@ -184,11 +184,10 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
         body.append(["turn (paper)", label, *cells, f"on the robot {real:.3f} ± {spread:.3f}", change])
     but = " but what was identified" if IDENTIFIED in stages else ""
     about = CAPTIONS["transfer"].format(trials=found[0].rewards.shape[1], but=but, **rows[0])
-    about_identified = CAPTIONS["identified"].format(label=IDENTIFIED.label, seconds=IDENTIFICATION_S)
     notes = [
         about + (f" **Unfinished: {missing} of motion and method are missing.**" if missing else ""),
         *(f"{stage.label}: {stage}." for stage in STAGES),
-        *([about_identified] if IDENTIFIED in stages else []),
+        *([CAPTIONS["identified"].format(label=IDENTIFIED.label)] if IDENTIFIED in stages else []),
         CAPTIONS["transfer of the paper"],
     ]
     return "\n".join([*markdown_table(header, body), "", *(f"- {note}" for note in notes), ""])

@@ -100,6 +100,7 @@ def train(
     threads: int = 1,
     resume: bool = False,
     evaluate_every: int = EVALUATION_STEPS,
+    evaluate: Callable[..., Evaluated] | None = None,
     progress: Callable[[Advance], None] | None = None,
 ) -> list[Evaluated]:
     """Trains a policy to imitate a motion's demonstration; keeps the best one as `policy.npz` and `policy.onnx`.
@@ -107,14 +108,15 @@ def train(
     uninterrupted one to the bit on the same machine; a finished one continues if `steps` is greater.
 
     `steps` are those of the policy, all robots together, rounded up to whole iterations; so are `evaluate_every`, those
-    between evaluations, of which the last iteration always has one. The result does not depend on `threads`.
+    between evaluations, of which the last iteration always has one. `evaluate` makes them, by default `evaluate_policy`
+    does. The result does not depend on `threads`.
 
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
     """
     settings = settings if settings is not None else TrainingSettings()
     with closing(Learner(robot, motion, settings, device=device, threads=threads)) as learner:
-        return _Training(learner, folder, evaluate_every, progress).run(steps, resume)
+        return _Training(learner, folder, evaluate_every, evaluate or evaluate_policy, progress).run(steps, resume)
 
 
 @dataclass(eq=False)
@@ -122,6 +124,7 @@ class _Training:
     learner: Learner
     folder: TrainingFolder
     every: int
+    evaluate: Callable[..., Evaluated]
     progress: Callable[[Advance], None] | None
     iterations: int = 0
     episodes: int = 0
@@ -164,7 +167,7 @@ class _Training:
 
     def _evaluate(self) -> Evaluated:
         policy, episodes = self.learner.policy(self._about()), self.learner.episodes
-        found = evaluate_policy(policy, episodes.robot, episodes.motion, self._steps, self._times())
+        found = self.evaluate(policy, episodes.robot, episodes.motion, self._steps, self._times())
         self.evaluations = [e for e in self.evaluations if e.steps != found.steps] + [found]
         worth = 0.5 * (found.reward + found.reward_perturbed)
         if worth > self.best:
@@ -216,10 +219,19 @@ class _Training:
         return {"wall_s": time.perf_counter() - self.began_wall_s, "cpu_s": time.process_time() - self.began_cpu_s}
 
 
-def evaluate_policy(policy: Policy, robot: Robot, motion: Motion, steps: int, times: Mapping[str, float]) -> Evaluated:
+def evaluate_policy(
+    policy: Policy,
+    robot: Robot,
+    motion: Motion,
+    steps: int,
+    times: Mapping[str, float],
+    *,
+    duration_s: float = EVALUATION_S,
+    perturbed_episodes: int = PERTURBED_EPISODES,
+) -> Evaluated:
     """One nominal episode and several from the perturbed starts of a comparison; `times` are those of the training."""
-    seconds = episode_duration(motion, EVALUATION_S)
-    start = unseen_start(motion, seconds, PERTURBED_EPISODES)
+    seconds = episode_duration(motion, duration_s)
+    start = unseen_start(motion, seconds, perturbed_episodes)
     rollout = run_episodes(robot, motion, start=start, duration_s=seconds, controller=controlled_by(policy))
     return Evaluated(
         steps=steps,

@@ -201,10 +201,11 @@ def _deeplabcut(group: Any) -> Tracks:
 
 def _fixed(group: Any) -> Tracks:
     """A level of the columns' labels is a list of texts, and each column's place in it."""
-    blocks = [f"block{i}" for i in range(int(group.attrs["nblocks"]))]
+    blocks = [name.removesuffix("_values") for name in group if name.endswith("_values")]
     labels: list[Sequence[str]] = []
     for block in blocks:
-        for_level = [f"{block}_items_{{}}{i}".format for i in range(int(group.attrs[f"{block}_items_nlevels"]))]
+        levels = sum(name.startswith(f"{block}_items_level") for name in group)
+        for_level = [f"{block}_items_{{}}{i}".format for i in range(levels)]
         labels += zip(*(group[of("level")].asstr()[()][group[of("label")][()]] for of in for_level), strict=True)
     return _framed(labels, [group[f"{block}_values"] for block in blocks])
 

@@ -51,7 +51,6 @@ STAND_DOWN: Final = 1005
 NOT_IMPLEMENTED: Final = 3203  # code of the answer to an unknown request
 
 FIND_S: Final = 1.0  # for a service on this computer to be found
-FIND_FAR_S: Final = 5.0  # for one on another
 ANSWER_S: Final = 5.0
 LIE_DOWN_S: Final = 10.0  # for the robot to lie down
 SETTLE_S: Final = 0.5  # from when it looks as if it lay
@@ -217,7 +216,7 @@ class ServiceServer:
     """The simulated robot's side of a service; each handler, by api id, returns its result, None for an empty one."""
 
     def __init__(self, participant: Participant, service: str, handlers: dict[int, Callable[[], Any]]) -> None:
-        self._handlers = handlers
+        self.handlers = handlers
         self._requests = TextReader(participant, f"rt/api/{service}/request", Request)
         self._responses = Writer(participant, f"rt/api/{service}/response", Response)
 
@@ -225,7 +224,7 @@ class ServiceServer:
         """Answers the requests that have arrived."""
         asked = self._requests.take(lambda request: (request.header.identity.id, request.header.identity.api_id))
         for number, api_id in asked:
-            handler = self._handlers.get(api_id)
+            handler = self.handlers.get(api_id)
             response = self._responses.message
             response.header.identity.id, response.header.identity.api_id = number, api_id
             response.header.status.code = 0 if handler else NOT_IMPLEMENTED
@@ -233,13 +232,16 @@ class ServiceServer:
             self._responses.write()
 
 
-def release_motion_service(participant: Participant, lies: Callable[[], bool], say: Callable[[str], None]) -> None:
+def release_motion_service(
+    participant: Participant, lies: Callable[[], bool], say: Callable[[str], None], *, find_far_s: float = 5.0
+) -> None:
     """Makes a robot's motion service release the motors, once the robot lies: standing, it would fall. `lies` says
-    whether it lies now, `say` takes lines on progress. A simulator on this computer need not have such a service.
+    whether it lies now, `say` takes lines on progress. A simulator on this computer need not have such a service; one
+    elsewhere is looked for during `find_far_s`.
     Raises `DriverError`: a robot without it, or one that does not answer, lie down or release the motors."""
     switcher = ServiceClient(participant, MOTION_SWITCHER)
     here = participant.interface == LOOPBACK
-    if not switcher.find(FIND_S if here else FIND_FAR_S):
+    if not switcher.find(FIND_S if here else find_far_s):
         if here:
             return
         said = f"no service '{MOTION_SWITCHER}' on '{participant.interface}'"
@@ -264,7 +266,7 @@ def _lie_down(participant: Participant, lies: Callable[[], bool]) -> None:
     code = sport.ask(STAND_DOWN).code if sport.find() else None
     end = time.monotonic() + LIE_DOWN_S
     while not lies():
-        if code is None or time.monotonic() > end:
+        if code != 0 or time.monotonic() > end:
             why = "it has no sport service" if code is None else f"its service answered with code {code}"
             said = f"the motors can be released only after the robot lies, but {why} and it still stands"
             raise DriverError(f"{said}: lie it down by its remote control")
