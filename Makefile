@@ -36,8 +36,7 @@ format: $(VENV)/.installed-dev
 types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
-docs: $(VENV)/.installed-dev
-	$(INSTALL) --editable '.[docs]'
+docs: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --site-dir build/site
 
 bench: $(VENV)/.installed
@@ -63,8 +62,12 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/.made
 	$(INSTALL) --editable '.[dev]'
 	touch $@ $(VENV)/.installed
 
+$(VENV)/.installed-docs: $(VENV)/.installed-dev
+	$(INSTALL) --editable '.[docs]'
+	touch $@
+
 # Torch without CUDA, where the index has such a build.
 $(VENV)/.installed-all: $(VENV)/.installed-dev
 	$(INSTALL) torch==2.13.0
-	$(INSTALL) --editable '.[rl,ray]' onnxruntime pandas
-	touch $@
+	$(INSTALL) --editable '.[rl,ray,docs]' onnxruntime pandas
+	touch $@ $(VENV)/.installed-docs

@@ -210,6 +210,9 @@ class Inputs:
 
     def __init__(self, chosen: Chosen, folder: Path) -> None:
         sys.path.insert(0, str(Path(__file__).parent))
+        from fastmimic.base.files import user_cache
+
+        os.environ.setdefault("NUMBA_CACHE_DIR", str(user_cache()))  # of code that is compiled already
         import fuzz_cases
 
         self._cases = fuzz_cases

@@ -9,7 +9,10 @@ import os
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 
+import numpy as np
+
 from fastmimic.base.arrays import Array
+from fastmimic.base.files import replace_file
 from fastmimic.clips.synthesis import GAITS, JUMPS
 from fastmimic.reference.motion_set import in_place
 from fastmimic.reference.standing import standing
@@ -27,7 +30,8 @@ def main() -> None:
     with ProcessPoolExecutor() as pool:
         names = sorted(ROBOT_NAMES, key=STEERED.__contains__, reverse=True)  # the longest first
         answers = [answer for found in pool.map(answers_for, names) for answer in found]
-    solved.write_recorded(solved.PACKAGED, answers)
+    arrays = {f"{key} {i} {name}": array for i, (key, known) in enumerate(answers) for name, array in known.items()}
+    replace_file(solved.PACKAGED, lambda stream: np.savez_compressed(stream, **arrays))  # type: ignore[arg-type]
     print(f"{len(answers)} answers in {solved.PACKAGED}, {solved.PACKAGED.stat().st_size / 1e3:.0f} kB")
 
 

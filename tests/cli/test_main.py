@@ -15,7 +15,7 @@ from fastmimic import cli
 from fastmimic.base.files import packaged
 from fastmimic.commands.motion_files import Robots
 
-HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "pooch", "casadi")
+HEAVY = ("scipy", "numba", "mujoco", "matplotlib", "casadi")
 
 
 def modules_after(code: str) -> set[str]:

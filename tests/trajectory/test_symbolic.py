@@ -10,7 +10,7 @@ from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.dynamics import inverse_dynamics
 from fastmimic.robot.kinematics import foot_positions
 from fastmimic.trajectory.config import TrajectoryConfig
-from fastmimic.trajectory.node import GIVEN, N_GIVEN, N_ROWS, N_VARIABLES, VARIABLES, node_functions
+from fastmimic.trajectory.node import GIVEN, N_GIVEN, N_ROWS, N_VARIABLES, VARIABLES, casadi_functions
 from fastmimic.trajectory.symbolic import NEIGHBOURS, instant
 
 
@@ -85,7 +85,7 @@ def test_forces_at_the_feet_carry_the_robot_and_load_the_joints() -> None:
 
 
 def test_a_nodes_derivatives_are_those_of_its_rows_and_cost() -> None:
-    functions = node_functions(load_robot("a1"), TrajectoryConfig())
+    functions = casadi_functions(load_robot("a1"), TrajectoryConfig())
     rng = np.random.default_rng(1)
     robot = load_robot("a1")
     z, p = 0.1 * rng.normal(size=N_VARIABLES), 0.1 * rng.normal(size=N_GIVEN)
@@ -105,18 +105,18 @@ def test_a_nodes_derivatives_are_those_of_its_rows_and_cost() -> None:
         np.testing.assert_allclose(found, wanted, atol=2e-4 * np.abs(wanted).max())
 
     jacobian = np.zeros((N_ROWS, N_VARIABLES))
-    jacobian[functions.jacobian_at] = np.array(functions.jacobian(z, p)).ravel()
+    jacobian[*functions.jacobian_at] = np.array(functions.jacobian(z, p)).ravel()
     close(jacobian, slope(lambda x: functions.rows(x, p)))
     gradient = np.array(functions.gradient(z, p)).ravel()
     close(gradient, slope(lambda x: functions.cost(x, p)).ravel())
     hessian = np.zeros((N_VARIABLES, N_VARIABLES))
-    hessian[functions.hessian_at] = np.array(functions.hessian(z, p, factor, multipliers)).ravel()
+    hessian[*functions.hessian_at] = np.array(functions.hessian(z, p, factor, multipliers)).ravel()
     assert np.array_equal(hessian, np.triu(hessian))
     hessian = hessian + np.triu(hessian, 1).T
 
     def lagrangian_gradient(x: np.ndarray) -> np.ndarray:
         full = np.zeros((N_ROWS, N_VARIABLES))
-        full[functions.jacobian_at] = np.array(functions.jacobian(x, p)).ravel()
+        full[*functions.jacobian_at] = np.array(functions.jacobian(x, p)).ravel()
         return factor * np.array(functions.gradient(x, p)).ravel() + multipliers @ full
 
     close(hessian, slope(lagrangian_gradient))

@@ -15,7 +15,7 @@ from fastmimic.base.errors import ConfigError, LibraryError, OutputError, Worker
 from fastmimic.base.files import remove_file, write_text
 from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, working
-from fastmimic.dataset.index import FAILED, FinishedJobs, Gathered, Record, load_record, require_pyarrow, save_record
+from fastmimic.dataset.index import FAILED, Gathered, Record, load_record, require_pyarrow, save_record
 from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
@@ -148,14 +148,11 @@ class _Builder:
         if neighbours is not None:
             jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
         jobs = list({job.id: job for job in jobs}.values())
-        seen = FinishedJobs(library.path)
         try:
-            done = self._make(jobs, seen)
+            done = self._make(jobs)
         except BaseException:
             library.write_index(settled=False)
             raise
-        finally:
-            seen.save()
         ids = frozenset(job.id for job in jobs)
         table = self._settle(ids).table
         names = {robot.name for robot in robots.values()}
@@ -205,9 +202,10 @@ class _Builder:
             if (old.source.place, old.source.frames) in parts or (within and (old.failed or not place.exists())):
                 remove_file(survey_file(self.library.path, old.source))
 
-    def _make(self, jobs: Sequence[Job], seen: FinishedJobs) -> int:
+    def _make(self, jobs: Sequence[Job]) -> int:
         """Does the jobs that are not finished; returns their number."""
-        missing = [job for job in jobs if not seen.finished(job.id, job.motion_file)]
+        known = (load_record(self.library.path, job.id) for job in jobs)
+        missing = [job for job, record in zip(jobs, known, strict=True) if record is None or record["status"] == FAILED]
         # in random order, so that builders in the same folder do different jobs; each skips those of the others
         Random().shuffle(missing)
         total, done = len(jobs), len(jobs) - len(missing)
@@ -231,12 +229,9 @@ class _Builder:
                 record = outcome.result if outcome.error is None else give_up(job, outcome.error)
                 done, since = done + 1, since + 1
                 begun.pop(outcome.index, None)
-                if record["status"] != FAILED:
-                    seen.add(job.id, job.motion_file)
                 tell(record)
                 if since >= every:
                     found = self.library.write_index(settled=False)
-                    seen.save()
                     every, since = max(INDEX_EVERY, round(INDEX_SHARE * found.table.num_rows)), 0
         return len(missing)
 

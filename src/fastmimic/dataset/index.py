@@ -15,8 +15,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
-
 from fastmimic.base.errors import LibraryError
 from fastmimic.base.files import from_json, packaged, write_text
 from fastmimic.base.machine import optional
@@ -26,7 +24,6 @@ Record = dict[str, Any]
 
 RECORDS: Final = "records"
 MOTIONS: Final = "motions"
-FINISHED: Final = "work/seen.json"
 
 DONE: Final = "done"
 FAILED: Final = "failed"
@@ -90,50 +87,6 @@ def damage(folder: Path, record: Mapping[str, Any]) -> str | None:
         return None if sha256(folder / name) == record["motion_sha256"] else f"{name} is not what was written"
     except OSError as error:
         return f"{name}: {error.strerror or error}"
-
-
-class FinishedJobs:
-    """A cache of intact records and motions, so that a build need not read all of them at its start: it compares files'
-    sizes and times, and reads those that differ. `fastmimic.dataset.repair.check` finds other damage."""
-
-    def __init__(self, folder: Path) -> None:
-        """Loads the saved state; empty if that is missing or damaged."""
-        self._folder, self._changed = folder, False
-        try:
-            self._states = msgspec.json.decode((folder / FINISHED).read_bytes(), type=dict[str, list[int]])
-        except (OSError, ValueError, RecursionError):
-            self._states = {}
-
-    def finished(self, identity: str, motion_file: str) -> bool:
-        """Whether the record of a successful job and its motion (`motion_file`, relative to the library) are intact."""
-        state = self._state(identity, motion_file)
-        if state is not None and self._states.get(identity) == state:
-            return True
-        record = load_record(self._folder, identity)
-        found = record is not None and record["status"] != FAILED
-        if found:
-            self.add(identity, motion_file)
-        return found
-
-    def add(self, identity: str, motion_file: str) -> None:
-        """Marks the record and its motion as intact."""
-        state = self._state(identity, motion_file)
-        if state is not None:
-            self._states[identity] = state
-            self._changed = True
-
-    def save(self) -> None:
-        """Saves the state; raises `OutputError` if it cannot."""
-        if self._changed:
-            write_text(self._folder / FINISHED, json.dumps(self._states))
-            self._changed = False
-
-    def _state(self, identity: str, motion_file: str) -> list[int] | None:
-        try:
-            states = [path.stat() for path in (record_file(self._folder, identity), self._folder / motion_file)]
-        except OSError:
-            return None
-        return [number for state in states for number in (state.st_size, state.st_mtime_ns)]
 
 
 REJECTED: Final = "rejected"

@@ -1,16 +1,20 @@
 """The constraints and the cost of one node, with exact first and second derivatives."""
 
+from collections import namedtuple
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.robot import Robot
 from fastmimic.trajectory.config import TrajectoryConfig
+from fastmimic.trajectory.solved import Remembered
 from fastmimic.trajectory.symbolic import Expression, feet_in_world, instant, rotation
+from fastmimic.trajectory.tape import Tape, tape_of
 
 
 def _slices(sizes: dict[str, int]) -> dict[str, slice]:
@@ -75,25 +79,60 @@ METRES: Final = 10.0  # scale of rows in metres
 
 @dataclass(frozen=True, eq=False)
 class NodeFunctions:
-    """CasADi functions of a node's variables (77,) and parameters. The sparse derivatives' entries are dense vectors
-    whose places are in `jacobian_at` and `hessian_at` (rows, columns; upper triangle)."""
+    """Functions of a node's variables (77,) and parameters: CasADi's, and tapes of the derivatives. The entries of the
+    sparse ones are dense vectors, whose places are in `jacobian_at` and `hessian_at` (upper triangle): rows and
+    columns, (2, k)."""
 
     rows: Any
     cost: Any
     gradient: Any
     jacobian: Any
     hessian: Any
-    jacobian_at: tuple[NDArray[np.int_], NDArray[np.int_]]
-    hessian_at: tuple[NDArray[np.int_], NDArray[np.int_]]
+    jacobian_at: NDArray[np.int_]
+    hessian_at: NDArray[np.int_]
 
 
-@lru_cache(maxsize=4)
+_Used = namedtuple(
+    "_Used",
+    "torque_share friction turn_rad_per_s2 capture_weight force_weight vertical_weight acceleration_weight"
+    " angular_acceleration_weight joint_acceleration_weight foot_acceleration_weight",
+)
+"""What the functions depend on of the configuration."""
+_TAPES: Final = ("gradient", "jacobian", "hessian")
+
+
 def node_functions(robot: Robot, config: TrajectoryConfig) -> NodeFunctions:
-    """The functions for a robot; made in about half a second, and kept."""
+    """The functions for a robot. Making them takes two seconds: they are kept in the user's cache folder. Without the
+    JIT the derivatives are CasADi's."""
+    return _kept(robot, _Used(*(getattr(config, name) for name in _Used._fields)))
+
+
+@lru_cache(maxsize=8)
+def _kept(robot: Robot, used: _Used) -> NodeFunctions:
+    import casadi as ca
+
+    if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return casadi_functions(robot, used)
+    known = Remembered(f"a node of {robot.said}", [np.array(used)])
+    found: dict[str, Any] | None = known.read()
+    if found is None:
+        made = casadi_functions(robot, used)
+        found = {name: np.array(getattr(made, name).serialize()) for name in ("rows", "cost")}
+        found |= {name: getattr(made, name) for name in ("jacobian_at", "hessian_at")}
+        for name in _TAPES:
+            found |= {f"{name} {part}": np.array(a) for part, a in tape_of(getattr(made, name))._asdict().items()}
+        known.keep(found, packaged=False)
+    rows, cost = (ca.Function.deserialize(str(found[name])) for name in ("rows", "cost"))
+    gradient, jacobian, hessian = (Tape(*(found[f"{name} {part}"] for part in Tape._fields)) for name in _TAPES)
+    return NodeFunctions(rows, cost, gradient, jacobian, hessian, found["jacobian_at"], found["hessian_at"])
+
+
+def casadi_functions(robot: Robot, used: _Used | TrajectoryConfig) -> NodeFunctions:
+    """All functions as CasADi makes them."""
     import casadi as ca
 
     z, p = ca.SX.sym("z", N_VARIABLES), ca.SX.sym("p", N_GIVEN)
-    rows, cost = _expressions(robot, config, z, p)
+    rows, cost = _expressions(robot, used, z, p)
     multipliers, factor = ca.SX.sym("multipliers", N_ROWS), ca.SX.sym("factor")
     jacobian = ca.jacobian(rows, z)
     hessian = ca.triu(ca.hessian(factor * cost + ca.dot(multipliers, rows), z)[0])
@@ -101,8 +140,8 @@ def node_functions(robot: Robot, config: TrajectoryConfig) -> NodeFunctions:
     def entries(matrix: Expression) -> Expression:
         return ca.densify(ca.vertcat(*matrix.nonzeros()))
 
-    def places(matrix: Expression) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-        return np.array(matrix.sparsity().row()), np.array(matrix.sparsity().get_col())
+    def places(matrix: Expression) -> NDArray[np.int_]:
+        return np.array([matrix.sparsity().row(), matrix.sparsity().get_col()])
 
     return NodeFunctions(
         rows=ca.Function("rows", [z, p], [rows]),
@@ -115,7 +154,7 @@ def node_functions(robot: Robot, config: TrajectoryConfig) -> NodeFunctions:
     )
 
 
-def _expressions(robot: Robot, config: TrajectoryConfig, z: Expression, p: Expression) -> tuple[Expression, Expression]:
+def _expressions(robot: Robot, config: Any, z: Expression, p: Expression) -> tuple[Expression, Expression]:
     """Constraint rows and cost."""
     import casadi as ca
 

@@ -237,7 +237,7 @@ class Program:
         moves = modes.moves
         low[moves, ROWS["dynamics"]] = high[moves, ROWS["dynamics"]] = 0.0
         low[moves, ROWS["torque"]], high[moves, ROWS["torque"]] = -1.0, 1.0
-        low[moves, ROWS["driving"]], high[moves, ROWS["driving"]] = -2.0, 2.0
+        low[moves, ROWS["driving"]], high[moves, ROWS["driving"]] = -1.96, 1.96  # 2 % for what is between nodes
         low[moves, ROWS["turning"]], high[moves, ROWS["turning"]] = -1.0, 1.0
         low[moves, ROWS["speed"]], high[moves, ROWS["speed"]] = -config.speed_share, config.speed_share
         height = self.animal["feet"].reshape(-1, 4, 3)[..., 2] - robot.foot_radius

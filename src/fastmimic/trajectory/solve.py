@@ -31,7 +31,7 @@ def answered(problem: "Program", start: Array, first: int = 0) -> dict[str, Arra
     w, answers = start.copy(), list[dict[str, Array]]()
     for window in windows:
         if answers:
-            _LOG.info("%s: %.0f of %.0f s are executable", problem.motion.name, window.begins_s, windows[-1].ends_s)
+            _LOG.info("%s: %.0f of %.0f s are solved", problem.motion.name, window.begins_s, windows[-1].ends_s)
         bounds, rows = window.held(problem, w)
         so_far = w.copy()
         answers.append(_answer(problem, window.nodes, w, bounds, rows))

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.errors import FastMimicError
-from fastmimic.base.files import read_arrays, replace_file
+from fastmimic.base.files import read_arrays, replace_file, user_cache
 
 MOST: Final = 1000
-"""Files that are kept, a solution's of about 20 kB; the oldest go."""
+"""Files that are kept, a solution's of about 20 kB, a robot's functions of 1 MB; the oldest go."""
 PACKAGED = Path(__file__).with_name("solutions.npz")
 _NEAR: Final = 1e-6
 """Most that a problem's probe differs from the package's: another machine's numbers differ in the last digits."""
@@ -58,7 +58,7 @@ class Remembered:
         folder = _folder()
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            replace_file(folder / f"{self._key}.npz", lambda stream: np.savez(stream, **answer))  # type: ignore[arg-type]
+            replace_file(folder / f"{self._key}.npz", lambda stream: np.savez_compressed(stream, **answer))  # type: ignore[arg-type]
             for path in sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)[:-MOST]:
                 path.unlink(missing_ok=True)
         except OSError:
@@ -77,14 +77,6 @@ recorded: list[tuple[str, dict[str, Array]]] | None = None
 """Where a process records what it keeps, for the package."""
 
 
-def write_recorded(path: Path, answers: list[tuple[str, dict[str, Array]]]) -> None:
-    """Writes recorded answers to a file such as `PACKAGED`."""
-    arrays = {
-        f"{key} {number} {name}": array for number, (key, known) in enumerate(answers) for name, array in known.items()
-    }
-    replace_file(path, lambda stream: np.savez_compressed(stream, **arrays))  # type: ignore[arg-type]
-
-
 @cache
 def _packaged(general: str) -> list[dict[str, Array]]:
     """The package's answers to questions of a general key; no others are unpacked."""
@@ -100,9 +92,7 @@ def _packaged(general: str) -> list[dict[str, Array]]:
 
 
 def _folder() -> Path:
-    import pooch
-
-    return Path(pooch.os_cache("fastmimic")) / "executable"
+    return user_cache() / "executable"
 
 
 @cache

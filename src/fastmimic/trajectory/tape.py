@@ -6,11 +6,9 @@ same bits here, in a sixth of the time: that of Hessians was half of a solution'
 
 import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numba import config as numba_config
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
@@ -43,7 +41,6 @@ class Tape(NamedTuple):
     outputs: int
 
 
-@lru_cache(maxsize=8)
 def tape_of(function: Any) -> Tape:
     """The list of a CasADi function."""
     import casadi as ca
@@ -64,11 +61,12 @@ def tape_of(function: Any) -> Tape:
 
 
 def on_nodes(function: Any, nodes: int) -> Callable[..., Array]:
-    """A dense CasADi function with one output, of inputs (nodes, …) for all nodes at once; it returns (nodes, …)."""
-    if numba_config.DISABLE_JIT:  # type: ignore[attr-defined]
+    """A dense function with one output, CasADi's or its tape, of inputs (nodes, …) for all nodes at once; it returns
+    (nodes, …)."""
+    if not isinstance(function, Tape):
         mapped = function.map(nodes)
         return lambda *given: np.asarray(mapped(*(part.T for part in given)).full().T)
-    tape = tape_of(function)
+    tape = function
 
     def run(*given: Array) -> Array:
         out = np.zeros((nodes, tape.outputs))
