@@ -1,57 +1,36 @@
 """Animal and robot motion files, recognised by content, never by name. To add a format here, write its reader in a
-module and name it in `formats.json` and below; a script registers its own (`examples/extend/motion_format.py`)."""
+module and name it in `formats.json`; a script registers its own (`examples/extend/motion_format.py`)."""
 
-import io
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from fastmimic.base.errors import ClipError, check_positive, naming
 from fastmimic.base.files import packaged
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.formats import csv_motion, deepmimic, keypoints, skeletons
-from fastmimic.clips.formats.format import (
-    FORMATS,
-    Content,
-    Format,
-    ReadOptions,
-    format_of,
-    holds_motion,
-    refuse,
-    suffixes,
-)
+from fastmimic.clips.formats.format import FORMATS, Content, Format, ReadOptions, format_of, has, suffixes
 from fastmimic.clips.formats.points import UP_AXES, parse_tracks, read_point_map
 from fastmimic.clips.formats.text_table import check_rate
 from fastmimic.clips.travel import with_travel
 
 __all__ = ["FORMATS", "Content", "Format", "ReadOptions", "detect_format", "read_clip", "suffixes", "with_scale"]
 
-_READERS: Final[dict[str, tuple[Callable[[Content], bool], Callable[..., Any]]]] = {
-    "npz": (lambda content: holds_motion(io.BytesIO(content.data)), refuse),
-    "csv": (csv_motion.detect, csv_motion.parse),
-    "keypoints": (lambda content: keypoints.COLUMNS in content.columns, keypoints.parse),
-    "points": (keypoints.names_points, keypoints.read_named),
-    "anipose": (lambda content: set(content.table.header or ()) >= keypoints.ANIPOSE, keypoints.read_anipose),
-    "deeplabcut": (keypoints.is_deeplabcut, keypoints.read_deeplabcut),
-    "bvh": (lambda content: content.start.startswith(skeletons.KEYWORD), skeletons.read_bvh),
-    "deepmimic": (lambda content: content.start[:1] in ("{", "["), deepmimic.parse),
-    "trajectory": (lambda content: content.members >= {"q.npy", "dt.npy"}, csv_motion.parse_arrays),
-    "hdf5": (lambda content: content.data.startswith(b"\x89HDF\r\n\x1a\n"), keypoints.read_hdf5),
-    "c3d": (keypoints.is_c3d, keypoints.read_c3d),
-    "glb": (lambda content: content.data.startswith(b"glTF"), skeletons.read_glb),
-    "ai4animation": (lambda content: content.members >= skeletons.AI4ANIMATION, skeletons.read_ai4animation),
-}
-"""What tells the formats of `formats.json` by content, and what reads them: a clip, or `Tracks` with a `point_map`."""
+
+def _entry(name: str, said: dict[str, Any]) -> Format:
+    """A format as `formats.json` has it: `read` and `detect` are functions of its `module`. In place of the latter are
+    the content's beginnings, arrays of an archive, or a number of columns. What takes a `point_map` reads `Tracks`."""
+    module = import_module(f"{__name__}.{said.pop('module')}")
+    read, detect = getattr(module, said.pop("read")), said.pop("detect", None)
+    marks = {mark: said.pop(mark) for mark in ("starts", "arrays", "columns") if mark in said}
+    parse = partial(parse_tracks, read, said["about"]) if "point_map" in said["takes"] else read
+    return Format(name, detect=getattr(module, detect) if detect else partial(has, **marks), parse=parse, **said)
 
 
-_Said = dict[str, str | bool | tuple[str, ...]]
-_SAID: Final[Any] = packaged("fastmimic.clips.formats", "formats.json", dict[str, _Said])
-for _name, _said in _SAID.items():
-    _detect, _read = _READERS[_name]
-    _parse = partial(parse_tracks, _read, _said["about"]) if "point_map" in _said["takes"] else _read
-    FORMATS.register(Format(_name, detect=_detect, parse=_parse, **_said))
+_Said = dict[str, str | bool | int | tuple[str, ...]]
+for _name, _said in packaged("fastmimic.clips.formats", "formats.json", dict[str, _Said]).items():
+    FORMATS.register(_entry(_name, _said))
 
 
 def detect_format(path: str | Path) -> str:

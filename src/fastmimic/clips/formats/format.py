@@ -154,6 +154,18 @@ def format_of(content: Content) -> Format:
     raise ClipError(f"{content.problem()}; expected one of: {'; '.join(form.about for form in FORMATS.values())}")
 
 
+def has(content: Content, starts: tuple[str, ...] = (), arrays: tuple[str, ...] = (), columns: int = 0) -> bool:
+    """Whether a table has so many columns, an archive all these arrays, or text or bytes begin so."""
+    if columns or arrays:
+        return columns in content.columns if columns else {f"{name}.npy" for name in arrays} <= content.members
+    return content.start.startswith(starts) or content.data.startswith(tuple(s.encode("latin-1") for s in starts))
+
+
+def is_motion(content: Content) -> bool:
+    """Whether it is an `.npz` of ours, or a damaged one."""
+    return holds_motion(io.BytesIO(content.data))
+
+
 def is_robot_motion(path: str | Path) -> bool:
     """Whether a file is an `.npz` of ours, or a damaged one; False if there is none."""
     try:

@@ -156,6 +156,11 @@ def _rows(table: Table) -> list[Row]:
     return table.rows if table.header is None else [Row(1, table.header), *table.rows]
 
 
+def is_anipose(content: Content) -> bool:
+    """Whether a table has Anipose's own columns."""
+    return set(content.table.header or ()) >= ANIPOSE
+
+
 def is_deeplabcut(content: Content) -> bool:
     """Whether the first lines name the columns as DeepLabCut does."""
     firsts = [row.fields[0] for row in _rows(content.table)[:4]]

@@ -26,7 +26,6 @@ from fastmimic.clips.formats.text_table import Row, is_number, to_array
 KEYWORD: Final = "HIERARCHY"
 _CHANNELS: Final = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 _DEEPEST: Final = 500
-AI4ANIMATION: Final = {"bone_names.npy", "positions.npy", "framerate.npy"}  # arrays of its archives
 
 
 @dataclass
