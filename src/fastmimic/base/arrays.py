@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
-Records = NDArray[Any]  # of a type with fields, such as those of `fastmimic.robot.state`
+Records: TypeAlias = Any  # an array of a type with fields, which mypy does not know, such as in `fastmimic.robot.state`
 
 
 def stretches(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
