@@ -12,7 +12,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from marked import put
+from docs_table import put
 
 import fastmimic as fm
 from fastmimic.control.config import ControllerConfig

@@ -1,24 +1,22 @@
-"""The comparisons of docs/comparison.md: the paper's methods on the paper's motions, and what goes beyond them.
+"""The comparisons of docs/comparison.md: the paper's methods on the paper's motions.
 
-    python benchmarks/comparison.py [full|ablations|printed|parameters] [--out FOLDER] [--write] [-- OPTIONS OF compare]
+    python benchmarks/comparison.py [full|printed] [--out FOLDER] [--write] [-- OPTIONS OF compare]
     python benchmarks/comparison.py --scaling
 
-`full` is `fastmimic compare` with half its seeds; `ablations` takes mbc-dmp apart, in short; `printed` is a shorter one
-under the controller as the paper prints it; `parameters` opens more of the DMPs to the optimiser than the paper does.
-Each goes on where it was interrupted. With `--write` the tables go between the markers in docs/comparison.md and the
-figures into docs/images. Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures
-instead what made us choose processes: the same searches by threads of one process, and by a process for each core.
+`full` is `fastmimic compare` with half its seeds; `printed` is a shorter one under the controller as the paper prints
+it. Each goes on where it was interrupted. With `--write` its table goes between its markers in docs/comparison.md.
+Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures instead what made us choose
+processes: the same searches by threads of one process, and by a process for each core.
 """
 
 import argparse
-import shutil
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-from marked import put
+from docs_table import put
 
 import fastmimic as fm
 from fastmimic.base.machine import available_cores
@@ -27,44 +25,13 @@ from fastmimic.experiments.compare import ComparisonPlan, prepare
 from fastmimic.experiments.comparison_run import ComparisonSettings
 from fastmimic.runs.work_folder import ENVIRONMENT
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-FILES = {  # of each comparison: what goes between which markers, and which figure is which image
-    "full": (
-        {"comparison": "table.md"},
-        {
-            "comparison.png": "comparison.png",
-            "tracking.png": "comparison-tracking.png",
-        },
-    ),
-    "ablations": ({"ablations": "ablations.md"}, {"ablations.png": "ablations.png"}),
-    "printed": ({"printed": "table.md"}, {"comparison.png": "comparison-printed.png"}),
-    "parameters": ({"parameters": "table.md"}, {}),
-}
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "comparison.md"
+MARKS = {"full": "comparison", "printed": "printed"}
 OPTIONS = {
     "full": ("--seeds", "4"),
-    "ablations": (
-        *("--ablations", "--methods", "mbc-dmp", "--motions", "dog:trot", "anim:side-steps"),
-        *("--seeds", "1", "--iterations", "30"),
-    ),
     "printed": ("--config", "paper", "--seeds", "2", "--iterations", "60"),
-    "parameters": (
-        *("--methods", "mbc", "mbc-dmp", "mbc-dmp-path", "mbc-dmp-body"),
-        *("--motions", "dog:trot"),  # the one that leaves most to gain
-        *("--seeds", "1", "--iterations", "100"),
-    ),
 }
 SEARCH: dict[str, Any] = {"iterations": 10, "population": 10, "duration_s": 5.0}
-
-
-def write(which: str, out: Path) -> None:
-    """Puts the tables and figures of a finished comparison into the documentation."""
-    tables, figures = FILES[which]
-    for mark, name in tables.items():
-        if (out / name).is_file():
-            put(DOCS / "comparison.md", mark, (out / name).read_text(encoding="utf-8").strip())
-    for name, image in figures.items():
-        if (out / name).is_file():
-            shutil.copyfile(out / name, DOCS / "images" / image)
 
 
 def scaling() -> None:
@@ -96,7 +63,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("which", nargs="?", choices=OPTIONS, default="full")
     parser.add_argument("--out", type=Path, help="by default runs/comparison-WHICH")
-    parser.add_argument("--write", action="store_true", help="put tables and figures into docs/")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/comparison.md")
     parser.add_argument("--scaling", action="store_true", help="measure threads against processes instead")
     given = sys.argv[1:]
     end = given.index("--") if "--" in given else len(given)
@@ -109,7 +76,7 @@ def main() -> None:
     options += ["--resume"] if (out / ENVIRONMENT).is_file() else []
     status = fastmimic(["compare", *options])
     if status == 0 and args.write:
-        write(args.which, out)
+        put(PAGE, MARKS[args.which], (out / "table.md").read_text(encoding="utf-8").strip())
     sys.exit(status)
 
 

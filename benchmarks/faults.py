@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 from numpy.typing import NDArray
 
 from fastmimic import load_motion

@@ -9,7 +9,7 @@ between the markers in docs/robustness.md.
 import argparse
 from pathlib import Path
 
-from marked import put
+from docs_table import put
 
 from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig

@@ -57,7 +57,7 @@ def training_course(folder: Path) -> Course:
 
     policy = Policy.load(folder / POLICY_FILE)
     found = read_evaluations(folder)
-    kept = max(found, key=lambda e: e.reward + e.reward_perturbed)
+    kept = max(found, key=lambda e: e.reward_mean + e.reward_mean_perturbed)
     last = found[-1]
     steps = np.array([e.steps for e in found], dtype=np.float64)
     row = {
@@ -65,9 +65,9 @@ def training_course(folder: Path) -> Course:
         "method": RL,
         "variant": "",
         "seed": policy.seed,
-        "reward_mean": kept.reward,
-        "reward_mean_perturbed": kept.reward_perturbed,
-        "fell": float(kept.fell),
+        "reward_mean": kept.reward_mean,
+        "reward_mean_perturbed": kept.reward_mean_perturbed,
+        "fell": kept.fell,
         "fell_perturbed": kept.fell_perturbed,
         "wall_s": last.wall_s,
         "cpu_s": last.cpu_s,
@@ -78,7 +78,7 @@ def training_course(folder: Path) -> Course:
         row,
         steps / policy.config.rate_hz,
         np.array([e.cpu_s for e in found]),
-        np.array([e.reward for e in found]),
+        np.array([e.reward_mean for e in found]),
     )
 
 
@@ -96,10 +96,16 @@ def read_evaluations(folder: Path) -> "list[Evaluated]":
             found = [
                 Evaluated(
                     steps=int(line["steps"]),
-                    fell=line["fell"] == "True",
                     **{
                         name: float(line[name])
-                        for name in ("wall_s", "cpu_s", "reward", "reward_perturbed", "fell_perturbed")
+                        for name in (
+                            "wall_s",
+                            "cpu_s",
+                            "reward_mean",
+                            "reward_mean_perturbed",
+                            "fell",
+                            "fell_perturbed",
+                        )
                     },
                 )
                 for line in csv.DictReader(file)

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 
 from fastmimic.base.arrays import fingerprint
 from fastmimic.base.machine import versions

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from marked import put
+from docs_table import put
 from motion_survey import Surveyed, random_cycles, summary, survey, table
 
 import fastmimic as fm

@@ -18,6 +18,7 @@ import shutil
 import sys
 from pathlib import Path
 
+from docs_table import put
 from learning_cost import (
     cost_table,
     paper_cost,
@@ -26,7 +27,6 @@ from learning_cost import (
     training_course,
 )
 from learning_cost_figure import cost_figure
-from marked import put
 
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import BUILT_IN_MOTIONS, PAPER_MOTIONS

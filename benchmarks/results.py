@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 from numpy.typing import NDArray
 
 import fastmimic as fm

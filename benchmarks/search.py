@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 from results import CLAIMED, DURATION_S, PAGE, REPORTED
 
 import fastmimic as fm

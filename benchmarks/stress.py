@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from marked import put
+from docs_table import put
 
 import fastmimic as fm
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 from shares import interval, shown
 
 from fastmimic.base.errors import ConfigError

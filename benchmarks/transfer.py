@@ -11,7 +11,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from marked import put
+from docs_table import put
 
 from fastmimic.cli import main as fastmimic
 from fastmimic.experiments.compare import PAPER_MOTIONS

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from marked import put
+from docs_table import put
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/wire.md"
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1"}

@@ -8,7 +8,7 @@ from typing import Any
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 NAMES = (
-    *("fuzz_cases", "fuzz_files", "learning_cost", "learning_cost_figure", "marked", "motion_survey"),
+    *("fuzz_cases", "fuzz_files", "learning_cost", "learning_cost_figure", "docs_table", "motion_survey"),
     *("readme_animation", "shares", "steer", "terrain"),
 )
 

@@ -29,9 +29,9 @@ def training(folder: Path, motion: str = "trot") -> Course:
     """Three evaluations, of which the second is the best."""
     replace(random_policy(np.random.default_rng(0)), motion=motion, seed=3).save(folder / "policy.npz")
     found = [
-        Evaluated(1000, 10.0, 1.0, 0.1, 0.1, True, 1.0),
-        Evaluated(2000, 20.0, 2.0, 0.4, 0.3, False, 0.125),
-        Evaluated(5000, 30.0, 4.0, 0.3, 0.3, False, 0.0),
+        Evaluated(1000, 10.0, 1.0, 0.1, 0.1, 1.0, 1.0),
+        Evaluated(2000, 20.0, 2.0, 0.4, 0.3, 0.0, 0.125),
+        Evaluated(5000, 30.0, 4.0, 0.3, 0.3, 0.0, 0.0),
     ]
     (folder / "evaluations.csv").write_text(csv_text(COLUMNS, map(asdict, found)))
     return training_course(folder)

@@ -7,6 +7,7 @@ import pytest
 
 from cli.running import TINY, Run
 from fastmimic.clips.catalogue import open_clip
+from fastmimic.dataset.excerpts import find_sources
 from fastmimic.motion.motion import Motion
 from fastmimic.primitive import MotionDmp
 from fastmimic.retargeting.retarget import retarget
@@ -77,3 +78,9 @@ def test_the_folder_is_the_motion_in_it(folder: str, run: Run) -> None:
 
 def test_a_clip_is_needed_to_retarget(folder: str, run: Run) -> None:
     assert "run: already a robot motion" in run("retarget", folder, "--out", "out.npz").error
+    assert "run: already a robot motion" in run("segment", folder).error
+
+
+def test_a_library_takes_the_motion_of_a_run_and_nothing_else(folder: str, in_folder: Path) -> None:
+    (source,) = find_sources(folder)
+    assert Path(source.place).name == "motion.npz"

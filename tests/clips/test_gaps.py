@@ -11,7 +11,7 @@ from fastmimic.cli import main
 from fastmimic.clips.catalogue import open_clip, open_parts
 from fastmimic.clips.clip import POINT_NAMES, Clip
 from fastmimic.clips.formats import ReadOptions, read_clip
-from fastmimic.clips.formats.gaps import mend, outliers
+from fastmimic.clips.formats.gaps import fill_gaps, outliers
 from fastmimic.clips.formats.points import swapped_pairs
 from fastmimic.clips.synthesis import GAITS, generate
 from fastmimic.dataset.excerpts import DatasetSource, survey
@@ -38,9 +38,9 @@ def table_text(points: np.ndarray) -> str:
 
 def test_a_whole_take_is_left_as_it_is() -> None:
     points = walk()
-    mended = mend(points, RATE)
-    np.testing.assert_array_equal(mended.points, points)
-    assert (mended.parts, mended.notes) == ([(0, len(points))], [])
+    filled = fill_gaps(points, RATE)
+    np.testing.assert_array_equal(filled.points, points)
+    assert (filled.parts, filled.notes) == ([(0, len(points))], [])
 
 
 @pytest.mark.parametrize("name", sorted(GAITS))
@@ -96,9 +96,9 @@ def test_a_point_that_jumps_is_found_and_filled(point: str, frames: int, jump: t
     found = outliers(points, RATE)
     assert found[60 : 60 + frames, k].all()
     assert found.sum() == frames
-    mended = mend(points, RATE)
-    assert np.abs(mended.points - whole).max() < 0.01
-    assert mended.notes == [f"gaps of up to 0.2 s are filled: {point} {frames} frames ({frames} astray)"]
+    filled = fill_gaps(points, RATE)
+    assert np.abs(filled.points - whole).max() < 0.01
+    assert filled.notes == [f"gaps of up to 0.2 s are filled: {point} {frames} frames ({frames} astray)"]
 
 
 @pytest.mark.parametrize(("frames", "mean_error_m"), [(6, 0.015), (12, 0.04)])
@@ -112,7 +112,7 @@ def test_of_a_galloping_dog_filled_toes_are_about_where_they_were(
         points = whole.points_w.copy()
         for first in range(20 + shift, 500, 40):
             points[first : first + frames, TOE] = np.nan
-        off = np.linalg.norm(mend(points, 60.0).points - whole.points_w, axis=2)[:, TOE]
+        off = np.linalg.norm(fill_gaps(points, 60.0).points - whole.points_w, axis=2)[:, TOE]
         errors += [off[first : first + frames].max() for first in range(20 + shift, 500, 40)]
     assert np.mean(errors) < mean_error_m
 
@@ -129,9 +129,9 @@ def test_low_confidence_is_a_gap() -> None:
     points, confidence = walk(), np.ones((288, 10))
     confidence[50:60, TOE] = 0.3
     points[50:60, TOE] += 0.02
-    mended = mend(points, RATE, confidence)
-    assert np.abs(mended.points - walk()).max() < 0.01
-    assert "10 with a confidence below 0.6" in mended.notes[0]
+    filled = fill_gaps(points, RATE, confidence)
+    assert np.abs(filled.points - walk()).max() < 0.01
+    assert "10 with a confidence below 0.6" in filled.notes[0]
 
 
 @pytest.fixture
@@ -166,17 +166,17 @@ def test_a_point_that_is_never_there_is_named() -> None:
     points = walk()
     points[:, TOE] = np.nan
     with pytest.raises(ClipError, match="the point for FR_toe is missing in all frames"):
-        mend(points, RATE)
+        fill_gaps(points, RATE)
     points = walk()
     points[::50, TOE] = np.nan
     for first in range(0, len(points), 60):
         points[first : first + 30, TOE] = np.nan
     with pytest.raises(ClipError, match=r"no 0\.6 s without a gap of more than 0\.2 s: FR_toe"):
-        mend(points, RATE)
+        fill_gaps(points, RATE)
     points[:, TOE] = np.nan
     points[10:12, TOE] = [[0.0] * 3, [9.0] * 3]  # of which one is astray
     with pytest.raises(ClipError, match=r"no 0\.6 s without a gap of more than 0\.2 s: FR_toe"):
-        mend(points, RATE)
+        fill_gaps(points, RATE)
 
 
 def test_lines_that_cannot_be_read_are_missing_frames(tmp_path: Path) -> None:

@@ -20,6 +20,9 @@ from fastmimic.control.config import (
     pack_config,
 )
 from fastmimic.control.controller import gains_of
+from fastmimic.learning.config import PolicyConfig, pack_settings
+from fastmimic.reference.standing import standing_gains
+from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.robot import load_robot
 
 
@@ -99,6 +102,30 @@ def test_a_heavier_robot_is_as_stiff_for_what_it_has_to_move() -> None:
     assert other["r_weight"] * 9 == pytest.approx(one["r_weight"], rel=1e-12)
     for name in ("stance_kp", "stance_kd", "swing_kp", "swing_kd"):
         assert other[name] == pytest.approx(4 * one[name], rel=1e-12)
+
+
+def test_lengths_and_speeds_of_recoveries_are_those_of_the_legs() -> None:
+    small, robot = load_robot("a1"), load_robot("go2")
+    large = dataclasses.replace(robot, thigh_vector=2 * robot.thigh_vector, calf_vector=2 * robot.calf_vector)
+    a1, one, other = (pack_config(ControllerConfig(), each)[0] for each in (small, robot, large))
+    assert (a1["size"], a1["recovery_top_speed"]) == (1.0, ControllerConfig().gait.recovery_top_speed)
+    for name in ("size", "recovery_top_speed", "recovery_reach", "swing_height"):
+        np.testing.assert_allclose(other[name], 2 * one[name], rtol=1e-12)
+    given = RetargetConfig()
+    assert given.for_robot(small) == given
+    one, other = given.for_robot(robot), given.for_robot(large)
+    for name in ("knee_clearance_m", "turning_radius_m"):
+        assert getattr(other, name) == pytest.approx(2 * getattr(one, name), rel=1e-12)
+    assert other.swing.min_clearance_m == pytest.approx(2 * one.swing.min_clearance_m, rel=1e-12)
+
+
+def test_a_robot_stands_and_is_trained_with_gains_of_its_size() -> None:
+    a1, go2 = load_robot("a1"), load_robot("go2")
+    assert standing_gains(a1) == (120.0, 3.0)
+    assert standing_gains(go2)[0] == pytest.approx(120.0 * go2.mass / a1.mass)
+    one, other = (pack_settings(PolicyConfig(), robot)["stiffness"][0] for robot in (a1, go2))
+    np.testing.assert_array_equal(one, PolicyConfig().stiffness)
+    np.testing.assert_allclose(other / one, np.mean(go2.joint_inertia) / np.mean(a1.joint_inertia), rtol=1e-12)
 
 
 def test_kernels_get_what_was_set() -> None:

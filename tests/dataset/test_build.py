@@ -19,7 +19,7 @@ from fastmimic.dataset.build import Built
 from fastmimic.dataset.excerpts import survey
 from fastmimic.dataset.index import COLUMNS, load_record, read_record
 from fastmimic.dataset.jobs import Job, give_up, perform
-from fastmimic.dataset.repair import check, mend, rerun
+from fastmimic.dataset.repair import check, repair, rerun
 from fastmimic.executors import make_executor
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.export import export_motion
@@ -180,7 +180,7 @@ def test_a_damaged_file_about_a_source_or_robot_takes_nothing_else_with_it(text:
     assert [line.split("/")[0] for line in health.damaged] == ["robots", "sources"]
     assert all("the next build" in line for line in health.damaged)
     assert health.foreign == ()
-    assert mend(library)[1] == 0
+    assert repair(library)[1] == 0
     assert [row["id"] for row in library.index()] == [row["id"] for row in rows]
     assert build_dataset(of("trot", "pace"), mine, HERE).done == 0
     assert check(library).sound
@@ -223,7 +223,7 @@ def test_what_a_killed_builder_has_left_is_removed(mine: Path) -> None:
     for name in left:
         (mine / name).write_text("half")
     (mine / ".gitignore").write_text("work/")
-    health, removed = mend(MotionDataset.open(mine))
+    health, removed = repair(MotionDataset.open(mine))
     assert (sorted(health.foreign), removed) == (sorted(left), 4)
     assert (mine / ".gitignore").exists()
 
@@ -253,7 +253,7 @@ def test_a_longer_search_goes_on_from_the_shorter_one(mine: Path, monkeypatch: p
     assert [row["iterations"] for row in again.table.to_pylist()] == [5]  # the pace is of the old recipe
     health = check(MotionDataset.open(mine))
     assert len(health.foreign) == 4  # the old records, and their motions
-    assert mend(MotionDataset.open(mine)) == (health, 4)
+    assert repair(MotionDataset.open(mine)) == (health, 4)
     assert check(MotionDataset.open(mine)).foreign == ()
 
 
@@ -502,7 +502,7 @@ def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: P
     assert (old.id, old.why) == (cold["pace"], f"begun otherwise; instead of it there is {row['id']}")
     assert starts(of("pace")) == [None]
     assert starts(warm) == [cold["pace"]]
-    health, removed = mend(MotionDataset.open(mine))
+    health, removed = repair(MotionDataset.open(mine))
     assert removed == len(health.foreign) == 2  # the record, and its motion
     assert {row["name"] for row in MotionDataset.open(mine).index()} == {"pace", "trot"}
 
@@ -579,5 +579,5 @@ def test_an_index_that_is_damaged_is_made_anew(harm: str, mine: Path) -> None:
         MotionDataset.open(mine).index()
     health = check(MotionDataset.open(mine))
     assert health.outdated
-    mend(MotionDataset.open(mine))
+    repair(MotionDataset.open(mine))
     assert MotionDataset.open(mine).index() == rows

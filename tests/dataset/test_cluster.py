@@ -12,7 +12,7 @@ import pytest
 from dataset.conftest import of, same
 from fastmimic.dataset import MotionDataset, build_dataset
 from fastmimic.dataset.build import BuildStep
-from fastmimic.dataset.repair import mend
+from fastmimic.dataset.repair import repair
 from fastmimic.executors import make_executor
 
 pytestmark = pytest.mark.cluster
@@ -67,7 +67,7 @@ def test_a_worker_and_a_node_that_are_killed_cost_nothing_but_time(cluster: Any,
     assert (built.jobs, built.done) == (4, 4)
     assert len(recorded) == 4
     assert set(recorded.values()) == {1}
-    health, _ = mend(MotionDataset.open(tmp_path / "cluster"))
+    health, _ = repair(MotionDataset.open(tmp_path / "cluster"))
     assert health.sound
     assert all(Path(name).name.startswith(".") for name in health.foreign), "more than what was cut off while written"
 

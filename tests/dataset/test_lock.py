@@ -24,7 +24,7 @@ def test_many_build_and_one_mends(tmp_path: Path) -> None:
         pass
     with working(tmp_path, alone=True):
         for alone in (False, True):
-            with pytest.raises(LibraryError, match="is being mended now"), working(tmp_path, alone=alone):
+            with pytest.raises(LibraryError, match="is being repaired now"), working(tmp_path, alone=alone):
                 pass
 
 

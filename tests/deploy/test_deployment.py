@@ -8,7 +8,6 @@ import pytest
 from deploy.rig import Rig, once
 from fastmimic.base.errors import ConfigError, DeploymentError, DriverError, MotionError
 from fastmimic.control.config import ControllerConfig
-from fastmimic.deploy.account import summary_rows
 from fastmimic.deploy.computer import LoopClock, Rehearsal, VirtualClock
 from fastmimic.deploy.deployment import Deployment, figures, score_log
 from fastmimic.deploy.log import DeploymentLog
@@ -16,6 +15,7 @@ from fastmimic.deploy.safety import SafetyLimits, StopReason
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import LinkFaults, SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
+from fastmimic.deploy.summary import summary_rows
 from fastmimic.imitation.evaluate import evaluate
 from fastmimic.motion.motion import Motion
 from fastmimic.reference.table import SAMPLE, world_root

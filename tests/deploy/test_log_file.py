@@ -23,7 +23,6 @@ from deploy.rig import Rig
 from fastmimic.base.errors import DeploymentError, OutputError
 from fastmimic.cli import main
 from fastmimic.deploy import log_file
-from fastmimic.deploy.account import robot_of, with_result
 from fastmimic.deploy.log import (
     GROUND_TRUTH,
     PERIODS,
@@ -36,6 +35,7 @@ from fastmimic.deploy.log import (
     load_ground_truth,
 )
 from fastmimic.deploy.log_file import LogFile, read_log_file, schema_of
+from fastmimic.deploy.summary import robot_of, with_result
 from fastmimic.robot.state import OBSERVATION
 
 KINDS = {PERIODS: ROW, TRUTH: OBSERVATION}

@@ -6,11 +6,11 @@ import pytest
 from deploy.rig import Rig, once
 from fastmimic.base.errors import DeploymentError
 from fastmimic.control.config import ControllerConfig
-from fastmimic.deploy.account import summary_rows
 from fastmimic.deploy.deployment import Deployment, evaluation_of
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.sequence import MotionSequence, SteeredFollower
 from fastmimic.deploy.state_machine import DeploymentPhase
+from fastmimic.deploy.summary import summary_rows
 from fastmimic.robot import Robot
 from fastmimic.robot.state import MEMORY, OBSERVATION
 from fastmimic.steering.commands import CommandScript

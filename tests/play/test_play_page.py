@@ -144,8 +144,8 @@ def test_a_browser_plays(browser: Any, a1: Robot, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(LiveHistory, "add", noted)
     session = LiveSession(a1, {})
-    assert session.library.next_hop(STAND, IN_PLACE) is not None  # made before, so that no second is lost later
-    assert session.library.next_hop(IN_PLACE, STAND) is not None
+    assert session.motions.next_hop(STAND, IN_PLACE) is not None  # made before, so that no second is lost later
+    assert session.motions.next_hop(IN_PLACE, STAND) is not None
     with served(session, 8750) as live:
         plainly(live.server)
         page = open_page(browser, 700, 520)

@@ -122,7 +122,7 @@ def test_a_push_by_hand_adds_to_those_of_a_disturbance(a1: Robot, library: Motio
 def test_a_push_changes_the_velocity(a1: Robot, library: MotionSet) -> None:
     session = LiveSession(a1, library, start=IN_PLACE)
     session.run(0.5)
-    period = session.library.entries[IN_PLACE].motion.n_samples
+    period = session.motions.entries[IN_PLACE].motion.n_samples
 
     def velocities() -> np.ndarray:
         found = []
@@ -218,7 +218,7 @@ def test_an_optimised_motion_is_followed_and_scored_against_its_demonstration(a1
     amplitude[list(FOOT_Z)] = 1.3
     optimised = dmp.motion(amplitude=amplitude)
     session = LiveSession(a1, {"optimised": optimised}, start="optimised")
-    entry = session.library.entries["optimised"]
+    entry = session.motions.entries["optimised"]
     lifted = entry.course["foot"][..., 2].max() - entry.demonstration["foot"][..., 2].max()
     assert lifted > 0.005
     own = course_of(trot, a1)

@@ -215,7 +215,7 @@ class Deploy:
         return SimDriver(robot, clock, conditions=conditions, faults=faults)
 
     def _report(self, found: "Deployment", log: Path) -> None:
-        from fastmimic.deploy.account import command_table, summary_rows
+        from fastmimic.deploy.summary import command_table, summary_rows
 
         if self.dry_run:
             for line in command_table(found.log):

@@ -37,7 +37,7 @@ class Evaluate:
     policy: opt.PolicyFile = None
     observe: opt.Observation = "truth"
     foot_force: opt.FootForce = "auto"
-    simulator: opt.Simulator = "mujoco"
+    simulator: opt.Simulator = FIRST_SIMULATOR
     disturb: opt.Disturbances = ()
     terrain: opt.TerrainName = None
     ideal: opt.Ideal = False
@@ -131,7 +131,7 @@ class Evaluate:
 
 def put_world(conditions: Conditions) -> None:
     """Prints where episodes ran, if not where motions are optimised."""
-    if conditions.simulator != "mujoco" or conditions.disturbances or conditions.terrain is not None:
+    if conditions.simulator != FIRST_SIMULATOR or conditions.disturbances or conditions.terrain is not None:
         said = f"in {conditions.simulator}; disturbances: {', '.join(map(str, conditions.disturbances)) or 'none'}"
         put(said if conditions.terrain is None else f"{said}; ground: {conditions.terrain}")
 

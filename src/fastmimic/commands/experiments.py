@@ -26,7 +26,7 @@ from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder, of_finished
-from fastmimic.simulation.simulators import SECOND_SIMULATOR, SIMULATORS
+from fastmimic.simulation.simulators import FIRST_SIMULATOR, SECOND_SIMULATOR, SIMULATORS
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.episode.loop import MakeController
@@ -235,7 +235,7 @@ class Stress(ExperimentOptions):
     disturbances: Annotated[tuple[str, ...] | None, opt.shared("NAME ...", "swept")] = None
     episodes: int = 20
     duration: Annotated[float, opt.option("S")] = 6.0
-    simulator: opt.Simulator = "mujoco"
+    simulator: opt.Simulator = FIRST_SIMULATOR
     observe: opt.Observation = "truth"
     ideal: opt.Ideal = False
     out: ResultsFolder = opt.RUNS / "stress"

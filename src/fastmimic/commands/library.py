@@ -229,13 +229,13 @@ class Verify:
 
     def run(self) -> int:
         from fastmimic.dataset import MotionDataset
-        from fastmimic.dataset.repair import check, mend, rerun
+        from fastmimic.dataset.repair import check, repair, rerun
 
         if self.rerun < 0:
             raise ConfigError(f"--rerun must not be negative, found {self.rerun}")
         library = MotionDataset.open(self.library)
         with count_progress("reading") as progress:
-            health, removed = mend(library, progress) if self.mend else (check(library, progress), 0)
+            health, removed = repair(library, progress) if self.mend else (check(library, progress), 0)
         put(f"{health.records} records, {len(health.damaged)} damaged, {len(health.foreign)} orphaned files")
         put(*(f"damaged: {line}" for line in health.damaged))
         if health.outdated:

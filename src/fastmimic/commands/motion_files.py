@@ -257,6 +257,8 @@ class SegmentTake:
 
     def run(self) -> None:
         figure = None if self.figure is None else opt.check_writable(self.figure, *FIGURES)
+        if find_motion(self.take).clip is None:
+            raise ConfigError(f"{self.take}: already a robot motion; a clip is needed")
         parts = open_parts(self.take, **self.file.overrides())
         rate_hz, segments = parts[0][1].rate_hz, [s.later(first) for first, clip in parts for s in find_segments(clip)]
         if self.json:

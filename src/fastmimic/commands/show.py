@@ -163,8 +163,8 @@ def describe_robot(robot: Robot) -> list[str]:
 def open_log(command: Any, reading: opt.ClipReading, *taken: str) -> tuple[Robot, DeploymentLog]:
     """The robot and the log that a command's `motion` names, by its `robot` and its `truth` if they are given. Raises
     `ConfigError` if an option of a clip's `reading` is given, or another one than those and the ones `taken`."""
-    from fastmimic.deploy.account import robot_of, with_result
     from fastmimic.deploy.deployment import true_states
+    from fastmimic.deploy.summary import robot_of, with_result
 
     path, truth, taken = command.motion, command.truth, ("motion", "robot", "truth", *taken)
     names = [field.name for field in dataclasses.fields(command) if field.name not in taken]

@@ -91,10 +91,10 @@ class Train:
                 note(f"to continue from the checkpoint: the same command with --out {out} --resume")
             raise
         if evaluations:
-            best = max(evaluations, key=lambda e: e.reward + e.reward_perturbed)
-            perturbed = f"perturbed starts {best.reward_perturbed:.3f}, {best.fell_perturbed:.0%} fell"
+            best = max(evaluations, key=lambda e: e.reward_mean + e.reward_mean_perturbed)
+            perturbed = f"perturbed starts {best.reward_mean_perturbed:.3f}, {best.fell_perturbed:.0%} fell"
             fell = ", fell" if best.fell else ""
-            put(f"best evaluation, at {best.steps:,} steps: reward {best.reward:.3f}{fell}; {perturbed}")
+            put(f"best evaluation, at {best.steps:,} steps: reward {best.reward_mean:.3f}{fell}; {perturbed}")
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
 
 
@@ -115,7 +115,7 @@ def _progress() -> "Iterator[Callable[[Advance], None]]":
 
         def report(at: "Advance") -> None:
             left = (at.total - at.steps) / at.steps_per_s
-            evaluated = "" if at.evaluated is None else f", evaluated {at.evaluated.reward:.3f}"
+            evaluated = "" if at.evaluated is None else f", evaluated {at.evaluated.reward_mean:.3f}"
             text = (
                 f"reward/step {at.iteration.reward:.3f}{evaluated}, {at.steps_per_s:.0f} steps/s,"
                 f" {left // 3600:.0f}:{left // 60 % 60:02.0f} h left"

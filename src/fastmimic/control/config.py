@@ -229,7 +229,10 @@ def read_config(path: str | Path) -> ControllerConfig:
 
 _PACKED: Final = (ControllerConfig, GaitConfig, StanceConfig, HorizonConfig, SwingConfig)
 _RECORD: Final = record_dtype(
-    [("dt", "f8"), ("horizon_interval", "i8"), *(field for part in _PACKED for field in record_fields(part))]
+    [
+        *[("dt", "f8"), ("size", "f8"), ("horizon_interval", "i8")],
+        *(field for part in _PACKED for field in record_fields(part)),
+    ]
 )
 
 
@@ -244,7 +247,7 @@ def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
     regulated = config.stance.feedback == "regulator" and config.swing.foothold == "regulator"
     record["recovery_steps"] *= regulated and config.stance.forces == "instant"
     record["early_touchdown_from"] *= config.swing.foothold != "raibert"  # its swings have a time of their own
-    record["dt"] = 1.0 / config.rate_hz
+    record["dt"], record["size"] = 1.0 / config.rate_hz, scales["length"]
     record["horizon_interval"] = round(config.rate_hz / config.horizon.solve_rate_hz)
     return record
 

@@ -38,7 +38,7 @@ from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
 LOOK_S: Final = 0.15  # how far ahead the capture point is looked at, at most
 ONE_SIDED: Final = 0.5  # share of the landing feet that are on one side more than on the other
 LATE_S: Final = 0.12  # with less than three feet on the ground, one that lands sooner is waited for
-NARROW_M: Final = 0.02  # least reach across
+NARROW_M: Final = 0.02  # least reach across; lengths are an A1's
 CALM: Final = 0.6  # share of the reach within which a robot is back
 LEAST_S: Final = 0.35  # of a recovery
 NEAR_M: Final = 0.07  # how far feet and motion may be apart when it is taken up again
@@ -62,7 +62,7 @@ def find_urgency(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any, x:
     growth = np.exp(rate * min(gain.landing / (1.0 + config.most_haste), LOOK_S))
     reach = config.recovery_reach
     across = reach[1] + gain.side * reach[2] * (1.0 if y > 0.0 else -1.0)
-    memory.urgency = growth * np.hypot(x / reach[0], y / max(across, NARROW_M))
+    memory.urgency = growth * np.hypot(x / reach[0], y / max(across, NARROW_M * config.size))
     if _supported(memory, scratch, scratch.lin_vel[0] / rate, scratch.lin_vel[1] / rate):
         memory.urgency = 0.0
 
@@ -114,7 +114,7 @@ def begin_or_end_recovery(
     memory.since_recovery += config.dt
     memory.calm = memory.calm + config.dt if memory.urgency < CALM else 0.0
     if memory.since_recovery >= LEAST_S and memory.calm > 0.0:
-        near = NEAR_M * (1.0 + memory.calm / PATIENCE_S)
+        near = config.size * NEAR_M * (1.0 + memory.calm / PATIENCE_S)
         sample = _taken_up_at(config, table, clock, obs, memory, scratch, near * near)
         if sample >= 0:
             memory.recovering, memory.taken_up = LEAVES, sample
@@ -139,9 +139,9 @@ def _begin(config: Any, ref: Any, clock: Any, trot: Any, own: Any, obs: Any, mem
                 height -= tilt[2, a] * row.foot_pos[leg, a]
             cost += height * height
             if row.contact[leg] != memory.stance[leg]:
-                cost += UNLIKE_M**2
+                cost += (config.size * UNLIKE_M) ** 2
             if memory.stance[leg] == 1 and trot[(k + soon) % n].contact[leg] == 0:
-                cost += LOADED_M**2 * max(obs.foot_force[leg, 2], 0.0) / weight
+                cost += (config.size * LOADED_M) ** 2 * max(obs.foot_force[leg, 2], 0.0) / weight
         if cost < least:
             best, least = k, cost
     own.sample, own.repeats = best, 1

@@ -250,8 +250,8 @@ def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:
     try:
         there, was = library.recipe_digest(), library.settings()
     except LibraryError as error:
-        is_mended = isinstance(error, DamagedError) and library.holds(recipe.digest)
-        if not (update or is_mended):
+        repaired = isinstance(error, DamagedError) and library.holds(recipe.digest)
+        if not (update or repaired):
             raise
     if there is not None and there != recipe.digest and not update:
         other = [name for name, value in recipe.as_dict().items() if was.get(name) != value]

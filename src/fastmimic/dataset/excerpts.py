@@ -30,8 +30,11 @@ _DESCRIBED: Final = ("name", "gait", "footfall", "confidence", "licence", "credi
 Cut = Literal["cycles", "segments", "whole"]
 """What is taken out of a take: its cycles, its movements that do not repeat as well, or all of it as one motion."""
 WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robot motion, or given frames
-NO_CLIPS: Final = ("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*")
-"""Files of a folder that are never clips, with any suffix."""
+NO_CLIPS: Final = (
+    *("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*"),
+    *("config.json", "metrics.json", "environment.json"),  # of a run, beside its motion
+)
+"""Files of a folder that are never clips."""
 _LICENCES: Final = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")
 _COLUMNS: Final = ("source", "frames", "fps", "up", "scale", "point_map", "licence", "credit")
 

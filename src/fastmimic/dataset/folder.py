@@ -7,7 +7,7 @@
     sources/KEY.json        survey of a source
     robots/KEY.json         digest of a robot's description
     work/                   checkpoints; without them, jobs cannot resume
-    .lock                   locked by who builds or mends there now
+    .lock                   locked by who builds or repairs there now
 
 Files are named by content and written atomically, so that any number of builders may share a folder, and the next one
 repeats the work of a killed one. Every builder ends by making the index from the records, which hold all its data.
@@ -167,7 +167,7 @@ class MotionDataset:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, TypeError, KeyError) as error:
-            raise DamagedError(f"{path}: cannot be read ({error}); the next build like it mends it") from None
+            raise DamagedError(f"{path}: cannot be read ({error}); the next build like it repairs it") from None
         return said
 
     def save_recipe(self, recipe: BuildSettings) -> None:
@@ -236,10 +236,12 @@ class MotionDataset:
             table = parquet.read_table(path, columns=[name for name in columns if name in there] or None)
         except (OSError, ValueError) as error:
             damage = str(error).splitlines()[0]
-            raise LibraryError(f"{path}: damaged ({damage}); 'fastmimic library verify --mend' makes it anew") from None
+            raise LibraryError(
+                f"{path}: damaged ({damage}); 'fastmimic library verify --mend' makes it again"
+            ) from None
         missing = [name for name in (columns or (*COLUMNS, *GRADED)) if name not in table.column_names]
         if missing:
-            raise LibraryError(f"{path}: no column '{missing[0]}'; 'fastmimic library verify --mend' makes it anew")
+            raise LibraryError(f"{path}: no column '{missing[0]}'; 'fastmimic library verify --mend' makes it again")
         return table
 
     def find(self, name: str) -> list[Row]:
@@ -280,8 +282,8 @@ def working(folder: Path, *, alone: bool) -> Iterator[None]:
         if not lock(handle, shared=not alone):
             if alone and lock(handle, shared=True):
                 said = "is being built now, and would lose what that has begun"
-                raise LibraryError(f"{folder}: {said}; mend it when that has ended")
-            raise LibraryError(f"{folder}: is being mended now; try again when that has ended")
+                raise LibraryError(f"{folder}: {said}; repair it when that has ended")
+            raise LibraryError(f"{folder}: is being repaired now; try again when that has ended")
         yield
     finally:
         os.close(handle)
@@ -297,7 +299,7 @@ _Kind = TypeVar("_Kind")
 
 
 def _load(folder: Path, kind: type[_Kind], which: str) -> tuple[list[_Kind], list[str]]:
-    """What is in the files of a folder, and the unreadable files, one line each; the next build `which` mends them."""
+    """What is in the files of a folder, and the unreadable ones, one line each; the next build `which` repairs them."""
     found, unreadable = [], []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -305,7 +307,7 @@ def _load(folder: Path, kind: type[_Kind], which: str) -> tuple[list[_Kind], lis
         except FileNotFoundError:  # another builder has removed it meanwhile
             continue
         except (OSError, ValueError, RecursionError) as error:
-            unreadable.append(f"{folder.name}/{path.name}: cannot be read ({error}); the next build {which} mends it")
+            unreadable.append(f"{folder.name}/{path.name}: cannot be read ({error}); the next build {which} repairs it")
     return found, unreadable
 
 

@@ -66,14 +66,13 @@ def load_record(folder: Path, identity: str) -> Record | None:
 
 
 def read_record(path: Path) -> Record | None:
-    """The record in a file; None if there is none. Columns that came after it are None."""
+    """The record in a file; None if there is none."""
     try:
         found = from_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    if not isinstance(found, dict) or not found.keys() <= COLUMNS.keys() or found.get("id") != path.stem:
+    if not isinstance(found, dict) or found.keys() != COLUMNS.keys() or found.get("id") != path.stem:
         return None
-    found = dict.fromkeys(COLUMNS) | found
     whole = all(value is None or isinstance(value, _KINDS[COLUMNS[name]]) for name, value in found.items())
     return found if whole and all(found[name] is not None for name in _NEEDED) else None
 

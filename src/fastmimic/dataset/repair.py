@@ -94,7 +94,7 @@ def rerun(library: MotionDataset, count: int, progress: Progress = lambda done, 
     return found, len(drawn)
 
 
-def mend(library: MotionDataset, progress: Progress = lambda done, total: None) -> tuple[DatasetHealth, int]:
+def repair(library: MotionDataset, progress: Progress = lambda done, total: None) -> tuple[DatasetHealth, int]:
     """Removes damaged files and those of no record that belongs to the library, and writes the index; returns the
     defects found before, and the number of removed files. Raises `LibraryError` while a build runs, because its files
     do not have records yet, and `OutputError` if a file cannot be removed."""

@@ -45,7 +45,7 @@ _STANDS_S: Final = 0.8  # after it was steered, before it sits down: its trunk c
 
 @dataclass(frozen=True, eq=False)
 class MotionSequence:
-    """From standing to standing. The `library` has the way from standing to its motion `start`, whose row `enters` is
+    """From standing to standing: by `motions` to its motion `start`, whose row `enters` is
     sample `first` of the `motion` itself, and from row `leaves` of its motion `end`, sample `last`, to standing; in a
     cyclic motion `last` may be below `first`. `table` (1, t) of `SAMPLE` and `gains` (g,) of `GAINS` are the
     motion's, `text` says what the robot does of it, and `stand` (12,) are the standing joints, rad."""
@@ -56,7 +56,7 @@ class MotionSequence:
     gains: Records
     first: int
     last: int
-    library: MotionSet
+    motions: MotionSet
     start: str
     enters: int
     end: str
@@ -75,7 +75,7 @@ class Follower:
 
     def __init__(self, sequence: MotionSequence) -> None:
         self.sequence, self.wanted = sequence, np.zeros(3)
-        self._live = LiveReference(sequence.library.robot, sequence.library, sequence.motion.rate_hz, STAND)
+        self._live = LiveReference(sequence.motions.robot, sequence.motions, sequence.motion.rate_hz, STAND)
         self._rows, self._at_row = np.zeros((1, sequence.ahead), SAMPLE), np.zeros(1, CLOCK)
         self.begin(np.zeros(3))
 
@@ -188,25 +188,25 @@ def make_sequence(robot: Robot, motion: Motion, config: ControllerConfig) -> Mot
     (first, first_shift), (last, last_shift) = _ends(robot, motion, config.rate_hz)
     table, own, ahead = reference_table(motion, robot)[None], gains_of(motion, robot, config), config.samples_ahead
     if motion.contact.all():
-        library = MotionSet(robot, {}, config.rate_hz, regulator=config.regulator)
-        stand = _standing_joints(library, motion)
-        return MotionSequence(motion, motion.name, table, own, 0, 0, library, STAND, 0, STAND, 0, stand, ahead)
+        motions = MotionSet(robot, {}, config.rate_hz, regulator=config.regulator)
+        stand = _standing_joints(motions, motion)
+        return MotionSequence(motion, motion.name, table, own, 0, 0, motions, STAND, 0, STAND, 0, stand, ahead)
     start, end = f"{motion.name} (start)", f"{motion.name} (end)"
-    library = MotionSet(robot, {start: first, end: last}, config.rate_hz, regulator=config.regulator)
-    enters = _way(library, STAND, start)[-1].arrive
+    motions = MotionSet(robot, {start: first, end: last}, config.rate_hz, regulator=config.regulator)
+    enters = _way(motions, STAND, start)[-1].arrive
     arrive = (enters + first_shift) % first.n_samples
 
     n, text = last.n_samples, motion.name
     # early enough for a controller that plans ahead to see the transition
-    leaves = ends = (_way(library, end, STAND)[0].leave - ahead) % n
+    leaves = ends = (_way(motions, end, STAND)[0].leave - ahead) % n
     if motion.target.parts:
         leaves, ends = (motion.n_samples - 1 - last_shift) % n, motion.n_samples - 1
     elif motion.cycle is None:  # within its last stride
         leaves = max(0, (leaves + ahead) % n - ahead)
         ends = last_shift + leaves
         text = _passage(motion, arrive, ends)
-    stand = np.array(library.entries[STAND].motion.joint_pos[0])
-    return MotionSequence(motion, text, table, own, arrive, ends, library, start, enters, end, leaves, stand, ahead)
+    stand = np.array(motions.entries[STAND].motion.joint_pos[0])
+    return MotionSequence(motion, text, table, own, arrive, ends, motions, start, enters, end, leaves, stand, ahead)
 
 
 def _passage(motion: Motion, first: int, last: int) -> str:
@@ -218,9 +218,9 @@ def _passage(motion: Motion, first: int, last: int) -> str:
     return f"{motion.name} from {begins:.2f} s to {ends:.2f} s of {motion.period_s:.2f} s"
 
 
-def _standing_joints(library: MotionSet, motion: Motion) -> Array:
+def _standing_joints(motions: MotionSet, motion: Motion) -> Array:
     """Those of standing (12,), rad; raises `MotionError` if a standing motion does not begin and end there."""
-    stand = library.entries[STAND].motion.joint_pos[0]
+    stand = motions.entries[STAND].motion.joint_pos[0]
     off = float(np.abs(motion.joint_pos[[0, -1]] - stand).max())
     if off > _SAME_POSTURE:
         said = f"motion '{motion.name}' never lifts a foot and begins or ends {off:.2f} rad off the standing posture"
@@ -244,13 +244,13 @@ def _ends(robot: Robot, motion: Motion, rate_hz: float) -> list[tuple[Motion, in
     return [(parts[s.part], s.shift) for s in (segments[0], segments[-1])]
 
 
-def _way(library: MotionSet, start: str, goal: str) -> list[CourseTransition]:
+def _way(motions: MotionSet, start: str, goal: str) -> list[CourseTransition]:
     """The transitions from one motion of the set to another; they are made now."""
     hops: list[CourseTransition] = []
     now = start
     while now != goal:
-        hop = library.next_hop(now, goal)
-        if hop is None or len(hops) > len(library.names):
+        hop = motions.next_hop(now, goal)
+        if hop is None or len(hops) > len(motions.names):
             raise MotionError(f"no way was found from '{start}' to '{goal}'")
         now, transition = hop
         hops.append(transition)

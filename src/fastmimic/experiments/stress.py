@@ -25,6 +25,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, TerrainLevel, check_felt, known
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_TIME_S, DisturbanceKind
+from fastmimic.simulation.simulators import FIRST_SIMULATOR
 from fastmimic.simulation.terrain import TERRAINS
 
 SUCCESS: Final = 0.95  # least share of episodes without a fall for a tolerated level
@@ -43,7 +44,7 @@ class StressSettings:
     """Settings of all sweeps."""
 
     robot: str = "a1"  # its name, or the path of its MJCF
-    simulator: str = "mujoco"  # as in `Conditions`
+    simulator: str = FIRST_SIMULATOR  # as in `Conditions`
     observe: str = "truth"
     ideal: bool = False
     episodes: int = parameter(20, low=1)

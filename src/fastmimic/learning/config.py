@@ -10,6 +10,7 @@ from fastmimic.base.configuration import check, pack, record_fields, tabulated
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, record_dtype
 from fastmimic.robot import Robot
+from fastmimic.robot.robot import joint_ratio
 
 HISTORY: Final = 3  # policy steps of sensors and actions in an observation, the present one included
 IMU_SIZE: Final = 4
@@ -54,7 +55,7 @@ SETTINGS: Final = record_dtype(
 def pack_settings(config: PolicyConfig, robot: Robot) -> Records:
     numerator, denominator = low_pass(config.filter_cutoff_hz, config.rate_hz)
     record = np.zeros(1, SETTINGS)
-    pack(config, record)
+    pack(config, record, {"joint": joint_ratio(robot)})
     record["numerator"], record["denominator"] = numerator, denominator[1:]
     record["home"], record["lower"], record["upper"] = robot.home_joint_pos, robot.joint_lower, robot.joint_upper
     return record

@@ -67,14 +67,14 @@ class TrainingFolder(WorkFolder):
 
 @dataclass(frozen=True)
 class Evaluated:
-    """An evaluation of a policy under training, as in `fastmimic compare`."""
+    """An evaluation of a policy under training; figures have the names of `Metrics`."""
 
     steps: int
     wall_s: float  # of the training so far
     cpu_s: float
-    reward: float  # of a nominal episode
-    reward_perturbed: float  # mean over episodes from perturbed starts
-    fell: bool
+    reward_mean: float  # of a nominal episode
+    reward_mean_perturbed: float  # mean over episodes from perturbed starts
+    fell: float
     fell_perturbed: float  # share of falls among those
 
 
@@ -154,7 +154,7 @@ class _Training:
                 last = self.iterations == total
                 if last or self._steps // self.every > (self._steps - per) // self.every:
                     found = self._evaluate()
-                    for name in ("reward", "reward_perturbed", "fell_perturbed"):
+                    for name in ("reward_mean", "reward_mean_perturbed", "fell_perturbed"):
                         log.add_scalar(f"evaluation/{name}", getattr(found, name), found.steps)
                 if last or time.perf_counter() - saved > CHECKPOINT_S:
                     self.folder.save(self._state())
@@ -169,7 +169,7 @@ class _Training:
         policy, episodes = self.learner.policy(self._about()), self.learner.episodes
         found = self.evaluate(policy, episodes.robot, episodes.motion, self._steps, self._times())
         self.evaluations = [e for e in self.evaluations if e.steps != found.steps] + [found]
-        worth = 0.5 * (found.reward + found.reward_perturbed)
+        worth = 0.5 * (found.reward_mean + found.reward_mean_perturbed)
         if worth > self.best:
             self.best = worth
             policy.save(self.folder.path / POLICY_FILE)
@@ -236,9 +236,9 @@ def evaluate_policy(
     return Evaluated(
         steps=steps,
         **times,
-        reward=float(rollout.reward[0]),
-        reward_perturbed=float(rollout.reward[1:].mean()),
-        fell=bool(rollout.fell[0]),
+        reward_mean=float(rollout.reward[0]),
+        reward_mean_perturbed=float(rollout.reward[1:].mean()),
+        fell=float(rollout.fell[0]),
         fell_perturbed=float(rollout.fell[1:].mean()),
     )
 

@@ -52,7 +52,7 @@ class PlayPanel(Panel):
         if isinstance(reference, Steered):
             self._add_velocity(reference)
         else:
-            motions = gui.add_button_group("motion", self._session.library.names)
+            motions = gui.add_button_group("motion", self._session.motions.names)
             motions.on_click(lambda _event: self._do(lambda: self._session.switch(str(motions.value))))
         self._add_push()
         self._add_world()
@@ -189,7 +189,7 @@ class PlayPanel(Panel):
                 self._steer()
 
         def at(offset: int) -> None:
-            names = session.library.names
+            names = session.motions.names
             session.switch(names[(names.index(session.reference.goal) + offset) % len(names)])
 
         def command(label: str, key: Any, what: Callable[[], None]) -> None:
@@ -202,7 +202,7 @@ class PlayPanel(Panel):
             return
         command("Motion before", "pageup", lambda: self._do(lambda: at(-1)))
         command("Next motion", "pagedown", lambda: self._do(lambda: at(1)))
-        for key, name in zip(_MOTION_KEYS, session.library.names, strict=False):
+        for key, name in zip(_MOTION_KEYS, session.motions.names, strict=False):
             command(f"Motion: {name}", key, partial(self._do, partial(session.switch, name)))
 
     def _toggle(self) -> None:

@@ -128,7 +128,7 @@ class LiveSession:
         self.dt = 1.0 / self.rate_hz
         if not isinstance(motions, MotionSet):
             motions = MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
-        self.library = motions
+        self.motions = motions
         self.conditions = conditions if conditions is not None else Conditions()
         simulation = make_simulation(robot, 1, self.conditions, control_rate_hz=self.rate_hz)
         if not isinstance(simulation, MujocoSimulation):
@@ -147,9 +147,9 @@ class LiveSession:
         self._clock = np.zeros(1, CLOCK)
         self._truth = np.zeros(1, SAMPLE)
         self._scorer = Scorer(robot, self._truth, 1, self._given, self.rate_hz)
-        stand = self.library.entries[STAND].motion
+        stand = self.motions.entries[STAND].motion
         height = float(stand.root_pos_w[0, 2])
-        self._recovery = GettingUp(robot, self.simulation, stand.joint_pos[0], height, self.dt)
+        self._getting_up = GettingUp(robot, self.simulation, stand.joint_pos[0], height, self.dt)
         self.falls = 0
         self.steps = 0
         self._control_s: deque[float] = deque(maxlen=_TIMINGS)
@@ -187,7 +187,7 @@ class LiveSession:
             return
         config = METHODS[name].configure(self._given)
         before = self.controller.memory.copy() if self.method else None
-        self.controller: Controller = Controller(self.robot, [self.library.entries[STAND].motion], 1, config)
+        self.controller: Controller = Controller(self.robot, [self.motions.entries[STAND].motion], 1, config)
         ahead = config.samples_ahead
         self._every = max(1, round(config.rate_hz / config.horizon.solve_rate_hz)) if ahead > 1 else 1
         self._tables = np.zeros((1, ahead), SAMPLE)
@@ -199,7 +199,7 @@ class LiveSession:
 
     def fall(self) -> None:
         """Lets the robot go limp, as after a fall."""
-        if self._recovery.phase is GettingUpPhase.DONE:
+        if self._getting_up.phase is GettingUpPhase.DONE:
             self._has_fallen()
 
     @property
@@ -219,11 +219,11 @@ class LiveSession:
     @property
     def fallen(self) -> bool:
         """Whether the robot lies or gets up."""
-        return self._recovery.phase is not GettingUpPhase.DONE
+        return self._getting_up.phase is not GettingUpPhase.DONE
 
     @property
     def state(self) -> str:
-        return self._recovery.phase.value if self.fallen else self.reference.state
+        return self._getting_up.phase.value if self.fallen else self.reference.state
 
     @property
     def control_us(self) -> tuple[float, float]:
@@ -236,7 +236,7 @@ class LiveSession:
         yaw = float(yaw_from_quat(obs["root_quat"]))
         pose = np.concatenate([obs["root_pos"], obs["root_quat"], obs["joint_pos"]])
         if not np.isfinite(pose).all():
-            pose = np.concatenate([[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0], self._recovery.command["joint_pos"][0]])
+            pose = np.concatenate([[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0], self._getting_up.command["joint_pos"][0]])
         x, y, turned = self.reference.place["pose"][0]
         orientation = quat_multiply(quat_from_yaw(turned), truth["root_quat"])
         place = np.array([x, y, truth["root_pos"][2]])
@@ -265,7 +265,7 @@ class LiveSession:
     def prepare(self) -> None:
         """Begins to make what may be needed next, in the background."""
         if isinstance(self.reference, LiveReference):
-            self.library.prepare(self.motion)
+            self.motions.prepare(self.motion)
 
     def run(self, seconds: float) -> None:
         """Simulates this much time as fast as possible."""
@@ -282,7 +282,7 @@ class LiveSession:
         self._fill()
         place = on_reference(self._tables[0], np.zeros(1, np.int64), self.reference.place["pose"])
         self.simulation.reset(*on_ground(self.terrain, self.robot, place))
-        self._recovery.phase = GettingUpPhase.DONE
+        self._getting_up.phase = GettingUpPhase.DONE
         self._begin_control()
 
     def step(self) -> None:
@@ -336,11 +336,11 @@ class LiveSession:
 
     def _has_fallen(self) -> None:
         self.falls += 1
-        self._recovery.begin()
+        self._getting_up.begin()
 
     def _get_up(self) -> None:
-        observation = self.simulation.step(self._recovery.step(self.simulation.observation))
-        if self._recovery.phase is not GettingUpPhase.DONE:
+        observation = self.simulation.step(self._getting_up.step(self.simulation.observation))
+        if self._getting_up.phase is not GettingUpPhase.DONE:
             return
         obs = observation[0]
         x, y = obs["root_pos"][:2]

@@ -157,14 +157,14 @@ class LiveReference:
     """The reference of one robot at `rate_hz` control steps a second. `goal` is the motion requested, `start` at first;
     `trouble` why the robot does not reach it, None if it does; `place` that of the reference (`make_place`)."""
 
-    def __init__(self, robot: Robot, library: MotionSet, rate_hz: float, start: str) -> None:
-        self._library = library
+    def __init__(self, robot: Robot, motions: MotionSet, rate_hz: float, start: str) -> None:
+        self._motions = motions
         self._work, self._scratch = make_work(robot, 1.0 / rate_hz), make_place()
         self.place = make_place()
         self._transition: CourseTransition | None = None
         self._armed: tuple[str, CourseTransition] | None = None
         self.trouble: str | None = None
-        self._entry = self._following = library.entries[start]
+        self._entry = self._following = motions.entries[start]
         self.goal = start
 
     @property
@@ -184,13 +184,13 @@ class LiveReference:
 
     def switch(self, name: str) -> None:
         """Changes to another motion as soon as feet and phase allow; raises `ConfigError` for an unknown one."""
-        _ = self._library.entries[name]
+        _ = self._motions.entries[name]
         self.goal, self.trouble = name, None
         self._disarm()
 
     def begin(self, name: str, pose: Array, row: int = 0) -> None:
         """Starts a motion at a row of its course and a pose (3,) of its root: x, y, yaw, world, m and rad."""
-        self._entry = self._library.entries[name]
+        self._entry = self._motions.entries[name]
         self.put(*pose)
         self.place["position"] = row
 
@@ -238,7 +238,7 @@ class LiveReference:
             return
         if self._armed is None:
             try:
-                hop = self._library.next_hop(self._entry.name, self.goal)
+                hop = self._motions.next_hop(self._entry.name, self.goal)
             except MotionError as error:
                 self.trouble, self.goal = str(error), self._entry.name
                 return
@@ -257,7 +257,7 @@ class LiveReference:
             return
         assert self._armed is not None
         name, self._transition = self._armed
-        self._following = self._library.entries[name]
+        self._following = self._motions.entries[name]
         self._armed = None
         self.place["exit"], self.place["entry"] = self._transition.last, self._transition.arrive
 

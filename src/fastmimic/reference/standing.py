@@ -10,13 +10,13 @@ from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, inverse_kinematics
+from fastmimic.robot.robot import mass_ratio
 
 STAND: Final = "stand"
 _STILL: Final = GaitSpec(about="stand", lift=0.0, bob=0.0, pitch=0.0, yaw=0.0)
 _FOLDED: Final = 0.3  # height of the hips above the feet with folded legs, as a share of the leg length
-_STIFFNESS: Final = 120.0  # N·m/rad for a robot of `_MASS_KG`; scaled with the mass
+_STIFFNESS: Final = 120.0  # N·m/rad of an A1; scaled with the mass
 _DAMPING: Final = 3.0  # N·m·s/rad
-_MASS_KG: Final = 12.5
 _PATH_ROWS: Final = 33
 
 
@@ -43,8 +43,7 @@ def along(path: Array, share: float) -> Array:
 
 def standing_gains(robot: Robot) -> tuple[float, float]:
     """Stiffness, N·m/rad, and damping, N·m·s/rad, with which the joints carry the robot."""
-    gain = robot.mass / _MASS_KG
-    return _STIFFNESS * gain, _DAMPING * gain
+    return _STIFFNESS / mass_ratio(robot), _DAMPING / mass_ratio(robot)
 
 
 def smooth(u: float) -> float:

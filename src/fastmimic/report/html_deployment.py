@@ -5,8 +5,8 @@ from typing import Any
 
 from fastmimic.base.errors import ConfigError, DeploymentError
 from fastmimic.base.files import read_json
-from fastmimic.deploy.account import robot_of, summary_rows, with_result
 from fastmimic.deploy.log import RESULT, DeploymentLog
+from fastmimic.deploy.summary import robot_of, summary_rows, with_result
 from fastmimic.report.episode_figures import deployment_figure
 from fastmimic.report.html_page import HtmlReport, Picture, render, said_arguments
 

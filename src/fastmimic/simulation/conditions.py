@@ -22,7 +22,7 @@ from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot.state import COMMAND, OBSERVATION
 from fastmimic.simulation.config import SensorConfig
 from fastmimic.simulation.disturbance_kinds import DISTURBANCES, PUSH_DURATION_S, PUSH_TIME_S, DisturbanceKind, EachStep
-from fastmimic.simulation.simulators import PHYSICS_RATE_HZ, SIMULATORS, substeps_of
+from fastmimic.simulation.simulators import FIRST_SIMULATOR, PHYSICS_RATE_HZ, SIMULATORS, substeps_of
 from fastmimic.simulation.terrain import TERRAINS, Terrain, TerrainKind, terrain_kind
 
 OBSERVED: Final = ("truth", "sensors")
@@ -312,7 +312,7 @@ class Conditions:
         sensors, estimator: used where `observe` is "sensors".
     """
 
-    simulator: str = "mujoco"
+    simulator: str = FIRST_SIMULATOR
     observe: str = "truth"
     seed: int = 0
     disturbances: tuple[Disturbance, ...] = ()

@@ -47,7 +47,7 @@ class Simulation(Protocol):
 @dataclass(frozen=True)
 class Simulator:
     """A simulator: `make(robot, n, conditions, control_rate_hz, threads)` returns a simulation; `check` raises
-    `ConfigError` if it is missing or does not know the robot; `realizes` names the disturbances that it has itself."""
+    `ConfigError` if it is missing or does not know the robot; `realizes` names its own disturbances and terrains."""
 
     name: str
     about: str

@@ -22,6 +22,7 @@ from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse
 from fastmimic.simulation.disturbance_kinds import DisturbanceKind
+from fastmimic.simulation.simulators import SIMULATORS
 
 FOOTPRINT_M: Final = 0.25  # half the edge of the ground that counts as under a robot
 TREAD_M: Final = 0.3
@@ -157,7 +158,7 @@ class TerrainKind(DisturbanceKind):
     given: str = ""  # the level if it is left out
 
     def realized_in(self, simulator: str) -> bool:
-        return simulator in self.simulators
+        return simulator in self.simulators or self.name in SIMULATORS[simulator].realizes
 
 
 def terrain_kind(name: str) -> TerrainKind:

@@ -22,7 +22,7 @@ _STRAIGHT: Final = 90  # percentile of a limb's length in the take; a sitting do
 Part = tuple[int, int]
 
 
-class Mended(NamedTuple):
+class Filled(NamedTuple):
     """Points (t, 10, 3), NaN where a long gap is; the whole parts, at least one; and sentences on what was done."""
 
     points: Array
@@ -30,7 +30,7 @@ class Mended(NamedTuple):
     notes: list[str]
 
 
-def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mended:
+def fill_gaps(points: Array, rate_hz: float, confidence: Array | None = None) -> Filled:
     """Fills the short gaps of the ten points (t, 10, 3), in any unit; a gap is NaN, `confidence` (t, 10) below 0.6, or
     a point of `outliers`. Raises `ClipError`: no part is whole."""
     missing = ~np.isfinite(points).all(axis=2)
@@ -52,7 +52,7 @@ def mend(points: Array, rate_hz: float, confidence: Array | None = None) -> Mend
     causes = {"missing": missing, f"with a confidence below {LEAST_CONFIDENCE:g}": doubtful, "astray": astray}
     said = ", ".join(f"{n} {cause}" for cause, which in causes.items() if (n := int((which & filled).sum())))
     notes = [f"gaps of up to {LONGEST_S:g} s are filled: {_counts(filled)} ({said})"] if filled.any() else []
-    return Mended(points, parts, notes)
+    return Filled(points, parts, notes)
 
 
 def part_for(parts: Sequence[Part], frames: Part | None, n_frames: int) -> tuple[Part, list[str]]:

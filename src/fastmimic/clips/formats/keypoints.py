@@ -32,7 +32,7 @@ from fastmimic.base.errors import ClipError
 from fastmimic.clips.clip import DOG, DOG_KEYPOINTS, Clip
 from fastmimic.clips.formats.format import FLAT, Content
 from fastmimic.clips.formats.gaps import Part
-from fastmimic.clips.formats.points import Tracks, library, most_complete
+from fastmimic.clips.formats.points import Tracks, extra_module, most_complete
 from fastmimic.clips.formats.text_table import Row, Table, read_table, to_array
 
 COLUMNS: Final = 81
@@ -170,7 +170,7 @@ def is_deeplabcut(content: Content) -> bool:
 
 def read_hdf5(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no h5py, or points of a picture."""
-    with library("h5py").File(io.BytesIO(data), "r") as file:
+    with extra_module("h5py").File(io.BytesIO(data), "r") as file:
         if "instances" in file:  # a project of SLEAP, .slp
             raise ClipError(FLAT)
         return _sleap(file) if "tracks" in file else _deeplabcut(next(iter(file.values())))
@@ -237,7 +237,7 @@ def read_c3d(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no library, or truncated."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of channels that are not read, and of the end that is checked below
-        file = library("c3d").Reader(io.BytesIO(data))
+        file = extra_module("c3d").Reader(io.BytesIO(data))
         points = np.array([frame for _, frame, _ in file.read_frames()])
     if len(points) < file.frame_count:
         raise ClipError(f"the file says that it has {file.frame_count} frames; it has {len(points)}: it is truncated")

@@ -17,7 +17,7 @@ from fastmimic.base.files import read_json
 from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
 from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
-from fastmimic.clips.formats.gaps import Part, bridged, mend, part_for
+from fastmimic.clips.formats.gaps import Part, bridged, fill_gaps, part_for
 from fastmimic.clips.formats.point_names import BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
 
@@ -272,20 +272,20 @@ class Tracks:
         check_rate(rate_hz)
         places, known = _places(chosen)
         confidence = None if self.confidence is None else self.confidence[:, places]
-        mended = mend(self.positions[:, places], rate_hz, confidence)
-        seen = mended.points[np.isfinite(mended.points).all(axis=(1, 2))]
+        filled = fill_gaps(self.positions[:, places], rate_hz, confidence)
+        seen = filled.points[np.isfinite(filled.points).all(axis=(1, 2))]
         axes = find_axes(seen, rate_hz, up, self.unit_m, self.is_level)
         seen = axes.to_world(seen)
-        notes = [*self.notes, *assumed, *mended.notes, *axes.notes]
+        notes = [*self.notes, *assumed, *filled.notes, *axes.notes]
         for right in swapped_pairs(seen) if all(known) else []:
-            for each in (seen, mended.points):
+            for each in (seen, filled.points):
                 each[:, [right, right + 1]] = each[:, [right + 1, right]]
             pair = " and ".join(POINT_NAMES[right : right + 2])
             notes.append(f"{pair} are swapped in the file: the left one lies on the right; taken the other way round")
         check_right_handed(seen if all(known) else with_hips(seen)[0])
         n = len(self.positions)
-        (first, end), left_out = part_for(mended.parts, frames, n)
-        points, legs = axes.to_world(mended.points)[first:end], None
+        (first, end), left_out = part_for(filled.parts, frames, n)
+        points, legs = axes.to_world(filled.points)[first:end], None
         if not all(known):
             points, legs, inferred = with_hips(points)
             notes.append(inferred)
@@ -293,8 +293,8 @@ class Tracks:
         height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
         notes.append(f"coordinates are in {axes.unit}: hips {height:.2f} m above the toes on average")
         meta: dict[str, Any] = {"assumed": notes + left_out}
-        if mended.parts != [(0, n)]:
-            meta |= {"frames": [first, end], "parts": [list(part) for part in mended.parts]}
+        if filled.parts != [(0, n)]:
+            meta |= {"frames": [first, end], "parts": [list(part) for part in filled.parts]}
         clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
         if self.skeleton is None:
             return clip
@@ -337,7 +337,7 @@ def most_complete(individuals: Sequence[str], positions: Array) -> tuple[int, tu
     return best, (f"of {len(individuals)} animals, {individuals[best]} is read: it has the most points",)
 
 
-def library(module: str) -> Any:
+def extra_module(module: str) -> Any:
     """A library of the extra `formats`; raises `ClipError` if it is not installed."""
     said = f"such files need {module}, which is not installed: pip install 'fastmimic[formats]'"
     return optional(module, ClipError(said))

@@ -20,7 +20,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError
 from fastmimic.base.files import open_arrays
 from fastmimic.base.rotations import matrix_from_quat
-from fastmimic.clips.formats.points import Tracks, library, skeleton_of
+from fastmimic.clips.formats.points import Tracks, extra_module, skeleton_of
 from fastmimic.clips.formats.text_table import Row, is_number, to_array
 
 KEYWORD: Final = "HIERARCHY"
@@ -152,7 +152,7 @@ _REST: Final = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0)
 
 def read_glb(data: bytes) -> Tracks:
     """Reads such a file. Raises `ClipError`: no pygltflib, or without an animation."""
-    file = library("pygltflib").GLTF2.load_from_bytes(data)
+    file = extra_module("pygltflib").GLTF2.load_from_bytes(data)
     blob = file.binary_blob() or b""
     if not file.animations:
         raise ClipError("a GLB file without an animation")
