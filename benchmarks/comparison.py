@@ -3,7 +3,7 @@
     python benchmarks/comparison.py [full|printed] [--out FOLDER] [--write] [-- OPTIONS OF compare]
     python benchmarks/comparison.py --scaling
 
-`full` is `fastmimic compare` with half its seeds; `printed` is a shorter one under the controller as the paper prints
+`full` is `fastmimic compare` with two seeds; `printed` is a shorter one under the controller as the paper prints
 it. Each goes on where it was interrupted. With `--write` its table goes between its markers in docs/comparison.md.
 Motions of the dog need `fastmimic data fetch`, or FASTMIMIC_DATA. `--scaling` measures instead what made us choose
 processes: the same searches by threads of one process, and by a process for each core.
@@ -28,7 +28,7 @@ from fastmimic.runs.work_folder import ENVIRONMENT
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "comparison.md"
 MARKS = {"full": "comparison", "printed": "printed"}
 OPTIONS = {
-    "full": ("--seeds", "4"),
+    "full": ("--seeds", "2"),
     "printed": ("--config", "paper", "--seeds", "2", "--iterations", "60"),
 }
 SEARCH: dict[str, Any] = {"iterations": 10, "population": 10, "duration_s": 5.0}

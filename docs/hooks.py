@@ -1,12 +1,14 @@
-"""What the documentation site makes when it is built: the command line's page and the tables of parameters."""
+"""What the documentation site makes when it is built: the command line's page, the tables of parameters, formulas."""
 
 import os
+import re
 import subprocess
 import sys
 from typing import Any
 
 MARK = "<!-- verbs -->"
 PARAMETERS = "<!-- parameters -->"
+FORMULA = re.compile(r"^```math\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 ACTIONS = {"library": [["build"], ["list"], ["show"], ["export"], ["verify"]]}
 
 
@@ -15,7 +17,16 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
     for mark, made in ((MARK, _verbs), (PARAMETERS, parameter_tables)):
         if mark in markdown:
             markdown = markdown.replace(mark, made())
-    return markdown
+    return FORMULA.sub(_formula, markdown)
+
+
+def _formula(found: re.Match[str]) -> str:
+    """A formula as MathML, which browsers set without scripts or fonts from elsewhere."""
+    from latex2mathml.converter import convert
+
+    # browsers align columns by their style alone
+    formula = re.sub('columnalign="(left|right)"', r'style="text-align: \1"', convert(found[1], display="block"))
+    return f'<div style="overflow-x: auto">{formula}</div>'
 
 
 def parameter_tables() -> str:

@@ -70,11 +70,12 @@ class Play:
                 executor.submit(warm_up, name)  # while this process loads
             with slow_start():
                 motions = load_motions(sources, robot)
-                library = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
-                session = LiveSession(robot, library, method=self.method, config=config, conditions=conditions)
+                played = MotionSet(robot, motions, executor=executor, source=name, regulator=config.regulator)
+                session = LiveSession(robot, played, method=self.method, config=config, conditions=conditions)
+            session.switch(next(iter(motions)))
             try:
                 with PlayPage(session, f"{robot.name}, live", self.port) as page:
-                    serve(page, ", ".join(library.names), self.port)
+                    serve(page, ", ".join(played.names), self.port)
             finally:
                 # waits: the interpreter's own exit does not close the pool safely
                 executor.shutdown(cancel_futures=True)

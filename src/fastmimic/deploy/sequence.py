@@ -45,10 +45,9 @@ _STANDS_S: Final = 0.8  # after it was steered, before it sits down: its trunk c
 
 @dataclass(frozen=True, eq=False)
 class MotionSequence:
-    """From standing to standing: by `motions` to its motion `start`, whose row `enters` is
-    sample `first` of the `motion` itself, and from row `leaves` of its motion `end`, sample `last`, to standing; in a
-    cyclic motion `last` may be below `first`. `table` (1, t) of `SAMPLE` and `gains` (g,) of `GAINS` are the
-    motion's, `text` says what the robot does of it, and `stand` (12,) are the standing joints, rad."""
+    """From standing to standing: by `motions` to its motion `start`, whose row `enters` is sample `first` of `motion`,
+    and from row `leaves` of its motion `end`, sample `last`, to standing; in a cycle `last` may be below `first`. Of
+    the motion are `table` (1, t) of `SAMPLE` and `gains` (g,) of `GAINS`; `text` says what the robot does of it."""
 
     motion: Motion
     text: str
@@ -61,7 +60,7 @@ class MotionSequence:
     enters: int
     end: str
     leaves: int
-    stand: Array
+    stand: Array  # (12,) joints, rad
     ahead: int  # rows of the reference that the controller looks at
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _PACES: Final = {"real time": 1.0, "× 0.5": 0.5, "× 0.25": 0.25, "× 0.1": 0.1}
 _DIRECTIONS: Final = {"← left": 90.0, "→ right": -90.0, "↑ ahead": 0.0, "↓ back": 180.0}
 _MOTION_KEYS: Final = ("1", "2", "3", "4", "5", "6", "7", "8", "9", "0")
+_IN_FORCE: Final = "● "  # before a button's name
 _MAX_IMPULSE: Final = 20.0
 _MAX_PAYLOAD_KG: Final = 6.0
 _THERE_RGB: Final = "#1a7f37"
@@ -48,12 +49,13 @@ class PlayPanel(Panel):
         self._pause = gui.add_button("Pause")
         self._pause.on_click(lambda _event: self._toggle())
         self._sliders: dict[str, Any] = {}
+        self._groups: dict[str, Any] = {}  # of buttons, one of which is in force
         reference = self._session.reference
         if isinstance(reference, Steered):
             self._add_velocity(reference)
         else:
-            motions = gui.add_button_group("motion", self._session.motions.names)
-            motions.on_click(lambda _event: self._do(lambda: self._session.switch(str(motions.value))))
+            self._groups["motion"] = motions = gui.add_button_group("motion", self._session.motions.names)
+            motions.on_click(lambda _event: self._do(lambda: self._session.switch(_name(motions))))
         self._add_push()
         self._add_world()
         self._add_view(page.scene, cameras)
@@ -63,6 +65,12 @@ class PlayPanel(Panel):
     def show(self, take: "Take", plot: tuple[Any, ...]) -> None:
         row = take.rows - 1
         self._state.content = self._status()
+        in_force = {"motion": getattr(self._session.reference, "goal", ""), "controller": self._session.method}
+        for kind, group in self._groups.items():
+            names = [option.removeprefix(_IN_FORCE) for option in group.options]
+            options = tuple(_IN_FORCE * (name == in_force[kind]) + name for name in names)
+            if options != group.options:  # else the browser draws them again
+                group.options = options
         self._figures.content = self._numbers()
         self._strip.content = panel.gait_strip(take, row, now=1.0)
         self._table.content = panel.leg_table(take, row)
@@ -156,11 +164,11 @@ class PlayPanel(Panel):
     def _add_world(self) -> None:
         gui, session = self._gui, self._session
         with gui.add_folder("Robot and ground"):
-            method: Any = gui.add_button_group("controller", playable_methods())
+            self._groups["controller"] = method = gui.add_button_group("controller", playable_methods())
             friction: Any = gui.add_slider("friction", *FRICTION, 0.05, round(session.world.friction, 2))
             payload: Any = gui.add_slider("payload, kg", 0.0, _MAX_PAYLOAD_KG, 0.1, 0.0)
 
-        method.on_click(lambda _event: self._do(lambda: session.set_method(str(method.value))))
+        method.on_click(lambda _event: self._do(lambda: session.set_method(_name(method))))
         friction.on_update(lambda _event: self._do(lambda: session.world.set_friction(float(friction.value))))
         payload.on_update(lambda _event: self._do(lambda: session.world.set_payload(float(payload.value))))
 
@@ -220,6 +228,10 @@ class PlayPanel(Panel):
             self._figures = gui.add_html("")
             with gui.add_folder("Legs in numbers", expand_by_default=False):
                 self._table = gui.add_html("")
+
+
+def _name(group: Any) -> str:
+    return str(group.value).removeprefix(_IN_FORCE)
 
 
 def steering_script() -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])  # names and labels
 _LOOKS: Final = packaged("fastmimic.viewer", "looks.json", dict[str, dict[str, Any]])  # of nodes, as viser names them
 WIDE_GROUND: Final = (24.0, 24.0)
+_MARKS: Final = ("contacts", "forces", "paths", "com", "animal")  # placed at the robot: slow browsers take points late
 _CELL_M: Final = float(_LOOKS["ground"]["cell_size"])
 _TERRAIN_RGB: Final = (205, 210, 215)
 _FORCE_RGB: Final = (178, 24, 43)
@@ -138,16 +139,19 @@ class RobotScene:
         _move(self._bodies, placed)
         if ghost is not None:
             _move(self._ghost, ghost)
-        self._show_lines(row, placed, ghost)
+        here = np.array([*self._path[row], 0.0])
+        for layer in self._groups.keys() & set(_MARKS):
+            self._groups[layer].position = here
+        self._show_lines(row, placed, ghost, here)
         places = marks.contact_places(take, row)
         for kind, flags in marks.contact_flags(take, row).items():
-            self._contacts[kind].batched_positions = places.astype(np.float32)
+            self._contacts[kind].batched_positions = (places - here).astype(np.float32)
             self._contacts[kind].batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
         for place, label in zip(places, self._names, strict=True):
             label.position = place + np.array([0.0, 0.0, -0.02])
         self._title.position = take.pose[row, :3] + np.array([0.0, 0.0, 0.55 * self._robot.leg_length])
         if self._animal is not None:
-            points = marks.animal_beside(self._animal, take, row, animal_aside(self._robot))
+            points = marks.animal_beside(self._animal, take, row, animal_aside(self._robot)) - here
             self._points.points = points.astype(np.float32)
             self._bones.points = marks.bone_segments(points).astype(np.float32)
 
@@ -216,19 +220,20 @@ class RobotScene:
     def _lines(self, name: str, points: Array, colours: Any, pixels: float) -> "viser.LineSegmentsHandle":
         return self._server.scene.add_line_segments(name, points, colours, thickness=pixels, thickness_units="screen")
 
-    def _show_lines(self, row: int, placed: Placed, ghost: Placed | None) -> None:
+    def _show_lines(self, row: int, placed: Placed, ghost: Placed | None, here: Array) -> None:
         take, nodes = self.take, self._nodes
-        _set_lines(nodes["force"], marks.force_arrows(take, row, take.force))
-        _set_lines(nodes["asked"], marks.force_arrows(take, row, take.asked))
-        _set_lines(nodes["pyramid"], marks.friction_pyramids(take, row))
-        _set_lines(nodes["path"], marks.trails(take.feet, row, take.rate_hz))
+        _set_lines(nodes["force"], marks.force_arrows(take, row, take.force) - here)
+        _set_lines(nodes["asked"], marks.force_arrows(take, row, take.asked) - here)
+        _set_lines(nodes["pyramid"], marks.friction_pyramids(take, row) - here)
+        _set_lines(nodes["path"], marks.trails(take.feet, row, take.rate_hz) - here)
         drops = [_drop(placed.com, float(take.ground(placed.com)), upright=True)]
-        nodes["com"].position = placed.com
+        nodes["com"].position = placed.com - here
         if ghost is not None and take.reference_feet is not None:
-            _set_lines(nodes["reference_path"], marks.trails(take.reference_feet, row, take.rate_hz, dashed=True))
-            nodes["reference_com"].position = ghost.com
+            trail = marks.trails(take.reference_feet, row, take.rate_hz, dashed=True)
+            _set_lines(nodes["reference_path"], trail - here)
+            nodes["reference_com"].position = ghost.com - here
             drops.append(_drop(ghost.com, float(take.ground(ghost.com)), upright=False))
-        nodes["com_drop"].points = np.concatenate(drops).astype(np.float32)
+        nodes["com_drop"].points = (np.concatenate(drops) - here).astype(np.float32)
         for kind in ("reference_path", "reference_com"):
             nodes[kind].visible = ghost is not None
         for frame, _ in self._ghost:

@@ -149,9 +149,9 @@ class Gate:
         """A `ViserServer` with these options, behind this gate. viser 1.1 has no place for one, so what it serves by
         is exchanged while it starts. Raises `ConfigError`, and serves nothing, if viser did not call that."""
         import viser
-        from websockets.asyncio import server
+        from websockets.asyncio import server as websocket
 
-        serve, guarded = server.serve, threading.Event()
+        serve, guarded = websocket.serve, threading.Event()
 
         def serve_guarded(*arguments: Any, process_request: Any = lambda *_: None, **options: Any) -> Any:
             def answer(connection: Any, request: Any) -> Any:
@@ -163,11 +163,11 @@ class Gate:
             return serve(*arguments, process_request=answer, **options)
 
         with _exchanging:
-            server.serve = serve_guarded  # type: ignore[assignment,misc]
+            websocket.serve = serve_guarded  # type: ignore[assignment,misc]
             try:
                 server = viser.ViserServer(**options)
             finally:
-                server.serve = serve  # type: ignore[misc]
+                websocket.serve = serve  # type: ignore[misc]
         if not guarded.is_set():
             server.stop()
             raise ConfigError("this viser's pages cannot be guarded from other sites: pip install 'viser==1.1.1'")
