@@ -9,12 +9,11 @@ motions learn in turn, a slice of steps each, so that they have had about the sa
 stopped; the same command goes on, also for more steps. `--searches` are folders of `fastmimic compare` with the
 methods mbc and mbc-dmp, `--transfers` those of `fastmimic transfer` with them; they are only read, and without them
 `--out` gets its own. `--trainings` are reported as well. Motions of the dog need `fastmimic data fetch`, or
-FASTMIMIC_DATA. `--report` trains nothing more. `--write` puts the tables between the markers in docs/learning.md, and
-the figure next to it.
+FASTMIMIC_DATA. `--report` trains nothing more. `--write` puts the tables between the markers in docs/learning.md; the
+figure stays in `--out`.
 """
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
 
@@ -139,8 +138,6 @@ def main() -> None:
         print(text)
         if args.write:
             put(DOCS / "learning.md", name, text.strip())
-    if args.write:
-        shutil.copyfile(args.out / FIGURE, DOCS / "images" / FIGURE)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,12 @@
 
     python benchmarks/unitree_mujoco.py --simulator unitree_mujoco --sdk unitree_sdk2_python
                                         [--steps-ms 1 2 5] [--runs 10] [--at-once 1] [--seconds 60]
-                                        [--motion trot] [--out runs/unitree_mujoco] [--json] [--write]
+                                        [--motion trot] [--out runs/unitree_mujoco] [--json]
 
 `--simulator` and `--sdk` are clones of github.com/unitreerobotics/unitree_mujoco and unitree_sdk2_python. Their Python
 simulator runs unchanged, with the time step that `--steps-ms` names, on a flat floor, without its window and gamepad.
 It never fills in the forces of the feet, the checksum and the tick. `real time` is its own time over the clock's: well
-below 1, the machine was too slow for it. Finished runs are kept in `--out`. `--write` puts the table into docs/wire.md.
+below 1, the machine was too slow for it. Finished runs are kept in `--out`.
 """
 
 import argparse
@@ -24,9 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from docs_table import put
 
-PAGE = Path(__file__).resolve().parent.parent / "docs/wire.md"
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1"}
 FIRST_DOMAIN = 20
 FLOOR = """<mujoco model="flat">
@@ -141,7 +139,6 @@ def main() -> None:
     parser.add_argument("--motion", default="trot")
     parser.add_argument("--out", type=Path, default=Path("runs/unitree_mujoco"))
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/wire.md")
     parser.add_argument("--serve", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     given.simulator, given.sdk, given.out = given.simulator.resolve(), given.sdk.resolve(), given.out.resolve()
@@ -155,9 +152,7 @@ def main() -> None:
         rows = [future.result() for future in asked]
     if given.json:
         print(json.dumps({"rows": rows}, indent=1))
-    if given.write:
-        put(PAGE, "unitree_mujoco", table(rows))
-    elif not given.json:
+    else:
         print(table(rows))
 
 
