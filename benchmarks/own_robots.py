@@ -21,6 +21,10 @@ import fastmimic as fm
 from fastmimic.clips.catalogue import motion_names, open_clip
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "own-robot.md"
+NAMES = {
+    **{"aliengo": "Unitree Aliengo", "a2": "Unitree A2", "b2": "Unitree B2", "spot": "Boston Dynamics Spot"},
+    **{"mini_cheetah": "MIT Mini Cheetah", "hyqreal1": "IIT HyQReal 1"},
+}
 SHOWN = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "walk")
 
 
@@ -36,12 +40,13 @@ def main() -> None:
     masses = {}
     for file in args.files:
         robot = fm.load_robot(str(file))
-        rows[robot.name], masses[robot.name] = [], robot.mass
+        shown = NAMES.get(file.stem, robot.name)
+        rows[shown], masses[shown] = [], robot.mass
         for name in args.motions:
             row = survey(open_clip(name, robot=robot), robot, duration_s=args.duration)
             said = row.refused or ("tracked" if row.tracked else "fell")
             print(f"{robot.name} {name}: {said}", file=sys.stderr, flush=True)
-            rows[robot.name].append(row)
+            rows[shown].append(row)
     if args.json:
         print(json.dumps({robot: [row.as_dict() for row in group] for robot, group in rows.items()}, indent=1))
     text = table(rows, masses, list(args.motions))

@@ -82,5 +82,6 @@ def test_a_clip_is_needed_to_retarget(folder: str, run: Run) -> None:
 
 
 def test_a_library_takes_the_motion_of_a_run_and_nothing_else(folder: str, in_folder: Path) -> None:
+    (Path(folder) / "checkpoint.npz").write_bytes(b"of a search")
     (source,) = find_sources(folder)
     assert Path(source.place).name == "motion.npz"

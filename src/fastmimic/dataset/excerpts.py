@@ -32,7 +32,7 @@ Cut = Literal["cycles", "segments", "whole"]
 WHOLE: Final = "whole"  # gait of an excerpt without a search for cycles: a robot motion, or given frames
 NO_CLIPS: Final = (
     *("license*", "licence*", "copying*", "notice*", "readme*", "changelog*", "requirements*.txt", ".*"),
-    *("config.json", "metrics.json", "environment.json"),  # of a run, beside its motion
+    *("config.json", "metrics.json", "environment.json", "deployment.json", "checkpoint*.npz", "policy.npz"),
 )
 """Files of a folder that are never clips."""
 _LICENCES: Final = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "COPYING")

@@ -34,7 +34,7 @@ from fastmimic.robot.state import COMMAND, MEMORY
 
 Weights = NDArray[np.float32]
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 ACTIVATIONS: Final = ("none", "relu", "elu", "tanh")
 POLICY_FILE: Final = "policy.npz"
 _PLAIN: Final = {"robot": str, "motion": str, "samples": int, "activation": str, "seed": int}  # of a `Policy`

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])  # names and labels
 _LOOKS: Final = packaged("fastmimic.viewer", "looks.json", dict[str, dict[str, Any]])  # of nodes, as viser names them
 WIDE_GROUND: Final = (24.0, 24.0)
-_MARKS: Final = ("contacts", "forces", "paths", "com", "animal")  # placed at the robot: slow browsers take points late
+_MARKS: Final = ("contacts", "forces", "paths", "com", "names", "animal")  # at the robot: slow browsers are late
 _CELL_M: Final = float(_LOOKS["ground"]["cell_size"])
 _TERRAIN_RGB: Final = (205, 210, 215)
 _FORCE_RGB: Final = (178, 24, 43)
@@ -148,8 +148,8 @@ class RobotScene:
             self._contacts[kind].batched_positions = (places - here).astype(np.float32)
             self._contacts[kind].batched_scales = np.where(flags, 1.0, 1e-4).astype(np.float32)
         for place, label in zip(places, self._names, strict=True):
-            label.position = place + np.array([0.0, 0.0, -0.02])
-        self._title.position = take.pose[row, :3] + np.array([0.0, 0.0, 0.55 * self._robot.leg_length])
+            label.position = place - here + np.array([0.0, 0.0, -0.02])
+        self._title.position = take.pose[row, :3] - here + np.array([0.0, 0.0, 0.55 * self._robot.leg_length])
         if self._animal is not None:
             points = marks.animal_beside(self._animal, take, row, animal_aside(self._robot)) - here
             self._points.points = points.astype(np.float32)
