@@ -61,7 +61,7 @@ def test_a_file_holds_the_whole_policy(tmp_path: Path) -> None:
         ({"mean": None}, "'mean' is missing"),
         ({"meta_json": np.str_("{}")}, "'robot' is missing"),
         ({"meta_json": np.str_("{")}, "Expecting property name"),
-        ({"format_version": np.int64(9)}, "format version 9; this release reads version 1"),
+        ({"format_version": np.int64(9)}, "format version 9; this release reads version 2"),
         ({"format_version": np.float64("inf")}, "cannot convert float infinity to integer"),
         ({"meta_json": np.str_('{"seed": Infinity}')}, "Infinity is no finite number"),
         ({"weight1": np.zeros((3, 3), np.float32)}, "do not fit together"),
