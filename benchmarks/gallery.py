@@ -58,7 +58,7 @@ def frame(*arguments: str, at: float = 0.8) -> Any:
     def take(name: str) -> None:
         fastmimic("render", *arguments, "--out", f"{name}.gif", "--quality", "high", "--size", "1280x560")
         with Image.open(f"{name}.gif") as video:
-            video.seek(int(at * (video.n_frames - 1)))
+            video.seek(int(at * (getattr(video, "n_frames", 1) - 1)))
             keep(video, name)
 
     return take
