@@ -294,7 +294,7 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
     domain = free_domain()
     robot = process("--domain", str(domain), "--log", "truth.mcap", "--watchdog-ms", "500")
     assert robot.stderr is not None
-    assert "Ctrl-C" in next(line for line in robot.stderr if "compiles" not in line)
+    assert any("Ctrl-C" in line for line in robot.stderr)  # after what is said while it prepares
     with Go2Driver(go2, domain=domain) as driver:
         state = driver.read(10.0)
         assert state is not None
@@ -329,7 +329,7 @@ def test_a_process_that_is_killed_leaves_what_it_really_did(
 ) -> None:
     robot = process("--domain", str(free_domain()), "--log", "truth.mcap")
     assert robot.stderr is not None
-    assert "Ctrl-C" in next(line for line in robot.stderr if "compiles" not in line)
+    assert any("Ctrl-C" in line for line in robot.stderr)  # after what is said while it prepares
     time.sleep(1.2)
     robot.kill()
     robot.communicate()
