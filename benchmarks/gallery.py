@@ -9,6 +9,7 @@ and the extra `view`. Pages are drawn by the processor where there is no graphic
 import argparse
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -84,7 +85,7 @@ def shoot(address: str, name: str, size: tuple[int, int], keys: tuple[str, ...])
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
-            executable_path="/usr/bin/chromium", args=["--no-sandbox", "--enable-unsafe-swiftshader"]
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--enable-unsafe-swiftshader"]
         )
         tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
         tab.goto(address)
@@ -119,7 +120,7 @@ PICTURES = {
     "render": frame("canter", "--duration", "2"),
     "terrain": frame("trot", "--terrain", "stairs-up=0.05", "--duration", "3"),
     "view": page("view", "run"),
-    "play": page("play", "trot", "pace", "turn", keys=("ArrowUp",)),
+    "play": page("play", "trot", "pace", "turn"),
     "steer": page("play", "steer", "--terrain", "rough=0.02", keys=("ArrowUp",)),
     "phone": page("play", "trot", "pace", "turn", size=NARROW),
     "report": report,

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 LAYERS: Final = packaged("fastmimic.viewer", "layers.json", dict[str, str])  # names and labels
 _LOOKS: Final = packaged("fastmimic.viewer", "looks.json", dict[str, dict[str, Any]])  # of nodes, as viser names them
 WIDE_GROUND: Final = (24.0, 24.0)
-_MARKS: Final = ("contacts", "forces", "paths", "com", "names", "animal")  # at the robot: slow browsers are late
 _CELL_M: Final = float(_LOOKS["ground"]["cell_size"])
 _TERRAIN_RGB: Final = (205, 210, 215)
 _FORCE_RGB: Final = (178, 24, 43)
@@ -139,9 +138,10 @@ class RobotScene:
         _move(self._bodies, placed)
         if ghost is not None:
             _move(self._ghost, ghost)
-        here = np.array([*self._path[row], 0.0])
-        for layer in self._groups.keys() & set(_MARKS):
-            self._groups[layer].position = here
+        here = np.array([*self._path[row], 0.0])  # origin of the marks: slow browsers take frames at once, points late
+        for layer, group in self._groups.items():
+            if layer != "ghost":
+                group.position = here
         self._show_lines(row, placed, ghost, here)
         places = marks.contact_places(take, row)
         for kind, flags in marks.contact_flags(take, row).items():
