@@ -1,8 +1,8 @@
 """Episodes of n robots under a policy's joint targets, for the environments and for training.
 
-Observation, reward and reset are batched and compiled; `score_step` gives reward and termination, as for every other
-method. Each thread has its own robots and MuJoCo batch, so that no thread waits within a policy step. One generator
-draws all random numbers in the order of the robots, so the results do not depend on the number of threads.
+Observation and reward are batched and compiled; robots are placed and scored as for every other method. Each thread has
+its own robots and MuJoCo batch, so that no thread waits within a policy step. One generator draws all random numbers in
+the order of the robots, so the results do not depend on the number of threads.
 """
 
 import math
@@ -17,21 +17,19 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, Flags, Indices, Records
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.jit import kernel, record_dtype
-from fastmimic.base.vectors import heading_vector, quat_about_z, quat_to_matrix, transposed_times
+from fastmimic.base.jit import record_dtype
 from fastmimic.control.config import ControllerConfig
+from fastmimic.episode.loop import on_ground, on_reference
 from fastmimic.episode.plan import JOINT_NOISE, VELOCITY_NOISE, start_room
 from fastmimic.episode.reward import Scorer
 from fastmimic.learning.config import ACTION_SIZE, OBSERVATION_SIZE, PolicyConfig, pack_settings
 from fastmimic.learning.observation import act, command, make_senses, observe
 from fastmimic.motion.motion import Motion
-from fastmimic.reference.table import advance_clocks, make_clocks, reference_table
+from fastmimic.reference.table import advance_clocks, make_clocks, place_clocks, reference_table
 from fastmimic.robot import Robot
-from fastmimic.robot.kinematics import leg_forward
 from fastmimic.robot.state import COMMAND, MEMORY
 from fastmimic.simulation.conditions import Disturbance, Range, draw_uniform
 from fastmimic.simulation.mujoco_sim import MujocoSimulation
-from fastmimic.simulation.simulators import Placement
 
 Seen = NDArray[np.float32]
 
@@ -186,7 +184,7 @@ class Shard:
     ) -> None:
         self.simulation = MujocoSimulation(robot, n, robots, control_rate_hz=config.control_rate_hz)
         self.counts = np.zeros(n, _COUNT)
-        self._config = config
+        self._robot, self._config = robot, config
         self._tables = table[None]
         self._settings = pack_settings(config, robot)
         self._clocks = make_clocks(motion, n)
@@ -203,13 +201,15 @@ class Shard:
         self.scorer.reset(rows)
         sample = np.minimum((draws[:, 0] * room).astype(np.int64), room - 1)
         clocks, senses, out = self._clocks[rows], make_senses(len(rows)), seen[rows]
-        clocks["sample"], clocks["cycle"], clocks["jump"] = sample, 0, 0.0
+        place_clocks(clocks, sample, self._tables[0], np.zeros((len(rows), 3)))
         left = (self._tables.shape[1] - 1 - sample) // self._config.decimation
         self.counts["steps"][rows], self.counts["scored"][rows] = 0, 0.0
         self.counts["limit"][rows] = np.where(clocks["repeats"] == 1, steps, np.minimum(steps, left))
-        place = Placement(*(np.zeros((len(rows), size)) for size in (3, 4, 12, 3, 3, 12)))
-        place_robots(self._settings, self.scorer.context, draws, noise, clocks, place, self._rotation)
-        self.simulation.place(rows, *place)
+        told, drawn = on_reference(self._tables[0], sample, clocks["origin"]), noise * (2 * draws - 1)
+        joints = told.joint_pos + JOINT_NOISE * drawn[:, 1:13]
+        joints = np.clip(joints, self._robot.joint_lower, self._robot.joint_upper)
+        place = on_ground(None, self._robot, told._replace(joint_pos=joints))
+        self.simulation.place(rows, *place._replace(lin_vel=place.lin_vel + VELOCITY_NOISE * drawn[:, 13:]))
         placed = self.simulation.observation[rows]
         observe(self._settings, self._tables, clocks, placed, senses, self._rotation, out)
         self._clocks[rows], self._senses[rows], seen[rows] = clocks, senses, out
@@ -241,38 +241,3 @@ class Shard:
             "tallies": self.scorer.tallies,
             "counts": self.counts,
         }
-
-
-@kernel
-def place_robots(
-    settings: Any, context: Any, draws: Array, noise: float, clocks: Any, place: Any, rotation: Array
-) -> None:
-    """Places k robots on their clocks' samples of the reference motion, at the world's origin with heading 0, perturbed
-    by `draws` like the perturbed starts of `ClosedLoop`, with all feet above the ground. `settings` are (1,) of
-    `SETTINGS`, `clocks` (k,) of `CLOCK`, whose origins are written; `context` is the `ScoringContext`, `place` the
-    `Placement` to write, `rotation` (3, 3) scratch."""
-    for k in range(clocks.shape[0]):
-        ref = context.table[clocks[k].sample]
-        quat_to_matrix(ref.root_quat, rotation)
-        yaw = -np.arctan2(rotation[1, 0], rotation[0, 0])
-        c, s = np.cos(yaw), np.sin(yaw)
-        x, y = ref.root_pos[0], ref.root_pos[1]
-        clocks[k].origin[0], clocks[k].origin[1], clocks[k].origin[2] = -(c * x - s * y), -(s * x + c * y), yaw
-        q = place.root_quat[k]
-        q[0], q[1], q[2], q[3] = quat_about_z(yaw, ref.root_quat)
-        for j in range(12):
-            joint = ref.joint_pos[j] + noise * JOINT_NOISE * (2 * draws[k, 1 + j] - 1)
-            place.joint_pos[k, j] = min(max(joint, settings[0].lower[j]), settings[0].upper[j])
-            place.joint_vel[k, j] = ref.joint_vel[j]
-        heading_vector(c, -s, ref.lin_vel, place.lin_vel[k])
-        for a in range(3):
-            place.lin_vel[k, a] += noise * VELOCITY_NOISE * (2 * draws[k, 13 + a] - 1)
-        # a turn about z changes the world, not the body's sensors
-        transposed_times(rotation, ref.ang_vel, place.ang_vel_b[k])
-        lowest = np.inf
-        for leg in range(4):
-            p = place.joint_pos[k, 3 * leg : 3 * leg + 3]
-            fx, fy, fz = leg_forward(context.geometry[leg], p[0], p[1], p[2])
-            lowest = min(lowest, rotation[2, 0] * fx + rotation[2, 1] * fy + rotation[2, 2] * fz)
-        place.root_pos[k, 0], place.root_pos[k, 1] = 0.0, 0.0
-        place.root_pos[k, 2] = max(ref.root_pos[2], context.foot_radius - lowest)
