@@ -104,15 +104,16 @@ def test_more_margins_while_the_robot_falls(a1: Robot, pace: Motion) -> None:
 def test_more_margin_while_a_limit_is_exceeded_between_the_nodes(
     a1: Robot, pace: Motion, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert nearest_executable(a1, pace).figures.most < 1
-    uses = iter([1.2, 1.1, 0.9, 1.2, 1.3, 1.25])
+    assert nearest_executable(a1, pace).figures.exceeded == []
+    uses = iter([{"friction": 1.2}, {"friction": 1.1}, {"friction": 0.9}])
     monkeypatch.setattr(executable, "_most_used", lambda *given: next(uses))
     kept = nearest_executable(a1, pace).figures
     assert kept.margins == {"friction": 0.36, "torque_share": 0.75, "speed_share": 0.9}
-    assert kept.most == 0.9
-    worst = nearest_executable(a1, pace).figures  # of three that exceed it the one that exceeds it least
+    assert kept.most == {"friction": 0.9}
+    uses = iter([{"torque": 1.2, "friction": 1.1}, {"torque": 1.3, "friction": 0.8}])
+    worst = nearest_executable(a1, pace).figures  # friction alone would not help; of two the one that exceeds it least
     assert worst.margins == {}
-    assert "a limit is exceeded between the nodes: 1.20 of it" in worst.lines()
+    assert "exceeded between the nodes: torque, 1.20 of it" in worst.lines()
 
 
 def test_what_came_of_running_it_is_kept_for_this_packages_own_check(

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
+from fastmimic.clips.clip import Clip
 from fastmimic.clips.synthesis import generate
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
@@ -16,14 +16,14 @@ from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import nearest_executable
 from fastmimic.trajectory.ipopt import DIVERGED
 from fastmimic.trajectory.program import Program, Solution
-from fastmimic.trajectory.windows import windows_of
+from fastmimic.trajectory.windows import Guess, windows_of
 
 SHORT = TrajectoryConfig(window_s=0.4, overlap_s=0.15)
 
 
-def trotting(a1: Robot, cycles: int) -> Motion:
+def trotting(a1: Robot, cycles: int, clip: Clip | None = None) -> Motion:
     """Cycles of a trot, done once."""
-    clip = generate("trot")
+    clip = clip or generate("trot")
     travel = clip.points_w[-1] - clip.points_w[0] + clip.points_w[-1] - clip.points_w[-2]
     step = travel.mean(axis=0) * np.array([1.0, 1.0, 0.0])
     points = np.concatenate([clip.points_w + k * step for k in range(cycles)])
@@ -56,7 +56,7 @@ def test_a_long_passage_that_diverges_in_one_piece_is_tried_in_shorter_windows(
 ) -> None:
     solve, tried = Program.solve, list[tuple[float, float]]()
 
-    def diverging(problem: Program, start: Array | None = None, first: int = 0) -> Solution:
+    def diverging(problem: Program, start: Guess | None = None, first: int = 0) -> Solution:
         tried.append((problem.config.window_s, problem.config.friction))
         return replace(solve(problem, start, first), status=DIVERGED)
 
@@ -108,3 +108,22 @@ def test_a_passage_with_which_the_robot_falls_goes_on_from_what_was_found(a1: Ro
     config = replace(TrajectoryConfig(), **found.figures.margins)
     anew = Program(a1, passage, config).solve()
     assert found.figures.iterations < anew.iterations
+
+
+def test_windows_have_strides_of_their_own(a1: Robot) -> None:
+    """Each follows the animal's way on from where the one before has led it, and the whole keeps every limit."""
+    passage = trotting(a1, 2, generate("trot", speed=2.5))
+    config = replace(SHORT, window_strides=True, stride_weight=0.1, keep_time=True, speed_share=0.85)
+    program = Program(a1, passage, config)
+    solution = program.solve()
+    assert solution.converged
+    low, high = program.bounds_of_rows()
+    rows = program.rows(solution.variables)
+    assert np.nanmax(np.maximum(low - rows, rows - high)) < 1e-4
+    animal = program.animal["position"][:, :2]
+    strides = np.diff(solution.way[:, 0]) / np.diff(animal[:, 0])
+    firsts = [window.nodes[0] for window in windows_of(program.modes, program.animal_steps, config)]
+    assert (np.flatnonzero(abs(np.diff(strides)) > 1e-6) + 1).tolist() == firsts[1:]
+    assert abs(solution.way[-1, 0] - animal[-1, 0]) > 0.003
+    assert solution.stride == pytest.approx(solution.way[-1, 0] / animal[-1, 0], abs=1e-3)
+    assert np.abs(solution.coordinates[:, :2] - solution.way).max() < 0.03

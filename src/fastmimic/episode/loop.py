@@ -324,12 +324,12 @@ def run_episodes(
 
 def share_of_falls(robot: Robot, motion: Motion) -> float:
     """Share of perturbed starts from which the robot falls under the default controller, without recovery steps: a
-    motion should not need them. A passage is run 10 times as a whole, a cycle 3 times for 10 s and 32 times for 1 s,
-    since most falls come at once. The starts are not those of evaluations."""
+    motion should not need them. A passage is run 10 times as a whole, a cycle 3 times for 10 s, and either 32 times for
+    1 s, since most falls come at once. The starts are not those of evaluations."""
     config = ControllerConfig()
     config = dataclasses.replace(config, gait=dataclasses.replace(config.gait, recovery_steps=False))
     rng, fell = np.random.default_rng(20_000), list[NDArray[np.bool_]]()
-    for count, duration_s in ((10, motion.period_s),) if motion.cycle is None else ((3, 10.0), (32, 1.0)):
+    for count, duration_s in ((10, motion.period_s) if motion.cycle is None else (3, 10.0), (32, 1.0)):
         start = perturbed_start(count, start_room(motion, motion.period_s), rng)
         fell.append(run_episodes(robot, motion, start=start, duration_s=duration_s, config=config).fell)
     return float(np.concatenate(fell).mean())

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.base.arrays import Array
 from fastmimic.base.errors import MotionError
 from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
@@ -15,7 +14,9 @@ from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import METRES, ROWS
 from fastmimic.trajectory.program import Program, Solution
 from fastmimic.trajectory.sampled import sampled
+from fastmimic.trajectory.solve import LIMITS
 from fastmimic.trajectory.solved import Remembered
+from fastmimic.trajectory.windows import Guess
 
 _RETRIES: Final[tuple[dict[str, float], ...]] = (
     {"contact_m_per_s": 0.5},
@@ -25,20 +26,24 @@ _RETRIES: Final[tuple[dict[str, float], ...]] = (
 """Margins that a problem without a solution gives up, in this order."""
 _SHORTER: Final = {"window_s": 2.0, "overlap_s": 0.7}
 """Windows of a passage that still has none after the first: there is less at once to agree on."""
-_CHECKED_S: Final = 20.0
 _CHECKED_EVERY_S: Final = 0.002
 _FRICTION: Final = 0.6  # at 99 % of the instants
 _TIGHTER: Final[tuple[dict[str, float], ...]] = (
     {"friction": 0.36},
     {"friction": 0.36, "torque_share": 0.75, "speed_share": 0.9},
 )
-"""Margins that a motion gets, one after another, while it exceeds a limit between the nodes."""
+"""Margins that a motion gets while it exceeds a limit between the nodes: the first ones where friction alone does, and
+the others while one is exceeded still."""
 _STEADIER: Final[tuple[dict[str, float], ...]] = (
     {"least_force": 0.08},
     {"capture_weight": 1000.0, "acceleration_weight": 3e-3, "capture_m": 0.06},
     {"capture_weight": 1000.0, "capture_m": 0.03, "loading": 3.0},
 )
 """Margins that a motion gets instead, one after another, while the robot falls with it."""
+_PASSAGE_TIGHTER: Final = {"knee_m": 0.06, "window_strides": True}
+_PASSAGE_STEADIER: Final = {"knee_m": 0.09}
+"""What a passage gets with them: speed gives way where it is too high, and knees are higher, since a loaded foot gives
+way by 2 cm, so that a calf touches the ground where an animal crouches before it runs."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class ExecutableFigures:
         trunk_m, trunk_deg: RMS change of x, y (along the animal's own way) and z, and of roll, pitch and yaw.
         peak: greatest use of each limit, share of the robot's own: 1 is its limit. `friction` is the coefficient.
         active: share of the time at which a limit, with its margin, is reached.
-        most: greatest share of a limit, between the nodes as well, by inverse dynamics at 500 Hz; of friction that
+        most: greatest share of each limit, between the nodes as well, by inverse dynamics at 500 Hz; of friction that
             at 99 % of the instants, as share of 0.6.
         margins: settings that differ from the default ones: margins given up since no motion keeps them, or added since
             the motion exceeded a limit or the robot fell.
@@ -67,11 +72,16 @@ class ExecutableFigures:
     trunk_deg: tuple[float, ...]
     peak: dict[str, float]
     active: dict[str, float]
-    most: float
+    most: dict[str, float]
     margins: dict[str, float]
     fell: float
     iterations: int
     cost: float
+
+    @property
+    def exceeded(self) -> list[str]:
+        """Limits that are exceeded between the nodes."""
+        return [name for name, most in self.most.items() if most > 1]
 
     def lines(self) -> list[str]:
         """For a human."""
@@ -85,7 +95,7 @@ class ExecutableFigures:
             f" shorter by up to {1e3 * self.duration_s:.0f} ms",
             f"trunk changed by {', '.join(moved)} RMS",
             f"greatest share of each limit, and the share of the time at it: {used}",
-            *([f"a limit is exceeded between the nodes: {self.most:.2f} of it"] * (self.most > 1)),
+            *(f"exceeded between the nodes: {name}, {most:.2f} of it" for name, most in self.most.items() if most > 1),
             *([f"margins changed: {margins}"] if margins else []),
             *([f"falls all the same from {100 * self.fell:.0f} % of the perturbed starts"] * (self.fell > 0)),
         ]
@@ -117,42 +127,45 @@ def nearest_executable(
 
     `animal` is a kinematic motion of the robot: feet and trunk as the animal's, contacts clean. A motion that exceeds a
     limit between the nodes is solved again with more margin. `falls` gives the share of perturbed starts from which a
-    robot falls with a motion: while it falls, other margins are tried, and the motion that falls least is returned. A
-    passage longer than 20 s is not tried. Raises `MotionError` if no motion keeps the limits; the message
-    says which. A cycle is solved anew from the animal's motion, a passage, which takes longer, from the motion that
-    falls least so far, whose margins it keeps.
+    robot falls with a motion: while it falls, other margins are tried, and the motion that falls least is returned.
+    Raises `MotionError` if no motion keeps the limits; the message says which. A cycle is solved anew from the animal's
+    motion, a passage, which takes longer, from the best motion so far, whose margins it keeps.
     """
     problem = Program(robot, animal, config or TrajectoryConfig())
-    best = _within_limits(problem, {})
-    if animal.cycle is None and animal.period_s > _CHECKED_S:
-        return best
-    known: dict[str, float] = {}
-    for more in _TIGHTER:
-        if best.figures.most > 1 and (other := _tried(problem, more, None)) and other.figures.most < best.figures.most:
-            best, known = other, more
+    best, tighter = _within_limits(problem, {}), dict[str, float]()
+
+    def with_more(margins: dict[str, float], of_passage: dict[str, float]) -> Executable | None:
+        try:
+            if animal.cycle is not None:
+                return _within_limits(problem, {**tighter, **margins})
+            return _within_limits(problem, {**best.figures.margins, **margins, **of_passage}, best.solution.guess)
+        except MotionError:
+            return None
+
+    for more in _TIGHTER if best.figures.exceeded == ["friction"] else _TIGHTER[1:]:
+        other = with_more(more, _PASSAGE_TIGHTER) if best.figures.exceeded else None
+        if other and max(other.figures.most.values()) < max(best.figures.most.values()):
+            best, tighter = other, more
     if falls is None:
         return best
-    fell, start = falls_with(falls, robot, best.motion), None
+    fell = falls_with(falls, robot, best.motion)
     for more in _STEADIER:
-        if fell == 0:
-            break
-        if animal.cycle is None:
-            known, start = best.figures.margins, best.solution.variables
-        other = _tried(problem, {**known, **more}, start)
+        other = with_more(more, _PASSAGE_STEADIER) if fell else None
         if other and (share := falls_with(falls, robot, other.motion)) < fell:
             best, fell = other, share
     return replace(best, figures=replace(best.figures, fell=fell))
 
 
-def _most_used(robot: Robot, motion: Motion, skipped_s: float) -> float:
-    """Greatest share of a limit that a motion uses by inverse dynamics at 500 Hz, without what its ends have skipped;
-    of friction 0.6 at 99 % of the instants."""
+def _most_used(robot: Robot, motion: Motion, skipped_s: float) -> dict[str, float]:
+    """Greatest share of each limit that a motion uses by inverse dynamics at 500 Hz, without what its ends have
+    skipped; of friction 0.6 at 99 % of the instants."""
     every, skipped = (max(1, round(time_s * motion.rate_hz)) for time_s in (_CHECKED_EVERY_S, skipped_s))
     ends = 0 if motion.cycle is not None else min(skipped, motion.n_samples // 3)
     use = use_of_limits(robot, motion, np.arange(ends, motion.n_samples - ends, every))
-    most = max(use.torque.max(), use.torque_at_speed.max(), use.joint_speed.max())
     stands = np.isfinite(use.friction)
-    return float(max(most, np.percentile(use.friction[stands], 99) / _FRICTION if stands.any() else 0.0))
+    slope = np.percentile(use.friction[stands], 99) if stands.any() else 0.0
+    used = (use.torque.max(), use.torque_at_speed.max(), use.joint_speed.max(), slope / _FRICTION)
+    return dict(zip(LIMITS, map(float, used), strict=True))
 
 
 def falls_with(falls: Callable[[Robot, Motion], float], robot: Robot, motion: Motion) -> float:
@@ -176,11 +189,11 @@ def executable_between(robot: Robot, guess: Motion, config: TrajectoryConfig | N
     return _within_limits(Program(robot, guess, config, joins=True), {})
 
 
-def _within_limits(problem: Program, margins: dict[str, float], start: Array | None = None) -> Executable:
+def _within_limits(problem: Program, margins: dict[str, float], start: Guess | None = None) -> Executable:
     """Of a problem with these margins; those of `_RETRIES` are given up while it has no solution, a long passage's in
     shorter windows and from the window before the one that had none: what keeps the margins keeps fewer of them, too.
     Where the solver diverges both with all of them and with those of the last given up, none between helps, but for a
-    long passage's shorter windows. With a first guess (n,), a solution with other margins, none is given up."""
+    long passage's shorter windows. With a first guess, a solution with other margins, none is given up."""
     long = not problem.modes.periodic and problem.motion.period_s > _SHORTER["window_s"]
     retries = () if start is not None else _RETRIES
     first = 0
@@ -203,14 +216,6 @@ def _within_limits(problem: Program, margins: dict[str, float], start: Array | N
     )
 
 
-def _tried(problem: Program, margins: dict[str, float], start: Array | None) -> Executable | None:
-    """`_within_limits`, or None if no motion keeps them."""
-    try:
-        return _within_limits(problem, margins, start)
-    except MotionError:
-        return None
-
-
 def _with_margins(problem: Program, changed: dict[str, float]) -> Program:
     return replace(problem, config=replace(problem.config, **changed))  # type: ignore[arg-type]
 
@@ -219,7 +224,7 @@ def _figures(program: Program, solution: Solution, motion: Motion, margins: dict
     animal = program.animal
     peak = {name: peak for name, (peak, _) in solution.use.items()}
     active = {name: active for name, (_, active) in solution.use.items()}
-    wanted = np.column_stack([solution.stride * animal["position"][:, :2], animal["position"][:, 2:], animal["angles"]])
+    wanted = np.column_stack([solution.way, animal["position"][:, 2:], animal["angles"]])
     change = np.sqrt(np.mean((solution.coordinates[:, :6] - wanted) ** 2, axis=0))
     period = program.motion.period_s, float(solution.time[-1])
     return ExecutableFigures(

@@ -34,7 +34,7 @@ def make_solver(
 
     Args:
         index: (N, 77) variables of the program that are those of each node.
-        given: (N, 81) parameters of the nodes.
+        given: (N, 91) parameters of the nodes.
         bounds: (N, 93) of the rows; those without a finite bound are left out.
         quadratic: sparse E (e, n) and e (e,) of a further cost |E w − e|² of all variables w (n,).
     """

@@ -38,6 +38,7 @@ GIVEN: Final = _slices(
         "loaded": 4,
         "capture": 4,
         "calf": 4,
+        "origin": 2,
         "position": 3,
         "angles": 3,
         "joints": 12,
@@ -50,9 +51,9 @@ GIVEN: Final = _slices(
 )
 """Parameters of a node: shares of the modes' durations; for neighbours in another period and for footholds cosine, sine
 and displacement of these periods (for coordinates yaw as well); 1 for feet that may push; the capture point's
-margins, m; each calf's mean angle, from which its foot's rolling counts, rad; the animal's motion (its x and y from the
-motion's start; feet from the base in the heading frame, their z in the world); the node's weight in the cost: its share
-of the motion's duration."""
+margins, m; each calf's mean angle, from which its foot's rolling counts, rad; where the stride counts from, and the
+animal's motion (its x and y from there; feet from the base in the heading frame, their z in the world); the node's
+weight in the cost: its share of the motion's duration."""
 
 ROWS: Final = _slices(
     {
@@ -200,7 +201,7 @@ def _expressions(robot: Robot, config: Any, z: Expression, p: Expression) -> tup
     )
 
     # the imitation reward's terms for small errors, and what keeps the solution smooth
-    animal_xy = stride * g["position"][:2]
+    animal_xy = g["origin"] + stride * g["position"][:2]
     off = ca.vertcat(here[:2] - animal_xy, here[2] - g["position"][2])
     moving = velocity[:3] - g["velocity"]
     end_effectors = 0

@@ -37,6 +37,7 @@ from fastmimic.trajectory.node import (
     node_functions,
 )
 from fastmimic.trajectory.solve import LIMITS, answered
+from fastmimic.trajectory.windows import Guess
 
 _SHORTEST_STEP_S = 0.007
 _LONGEST_STEP_S = 0.012
@@ -61,17 +62,16 @@ class Solution:
         force: (N, 4, 3) on the feet, world, multiples of the weight.
         time: (N + 1,) of the nodes and of the end, s; without a period (N,).
         durations: (M,) of the contact modes, s.
-        stride: distance that a cycle covers, share of the animal's.
-        holds: (H, 2) footholds.
+        stride: distance that a cycle, or all of a passage, covers, share of the animal's.
+        way: (N, 2) of the animal's x and y with that stride, which the trunk follows.
         converged, status: whether the solver's tolerances were met, and IPOPT's words.
         tried: the last node of those that were tried: a window without a solution is the last one.
-        so_far: variables that are a solution up to the last window, and what it began from; None if there is one piece.
+        so_far: a solution up to the last window, and what that began from; None if there is one piece.
         first: node of the window before that one, from which to try again.
         iterations: of the solver.
-        violation: largest violation of a scaled constraint.
         use: of each limit its greatest use, share of the robot's own, and the share of the time at it (`LIMITS`).
         cost: of the whole.
-        variables: of the program, to start another one from.
+        variables: (n,) of the program.
     """
 
     coordinates: Array
@@ -79,17 +79,21 @@ class Solution:
     time: Array
     durations: Array
     stride: float
-    holds: Array
+    way: Array
     converged: bool
     status: str
     tried: int
-    so_far: Array | None
+    so_far: Guess | None
     first: int
     iterations: int
-    violation: float
     use: dict[str, tuple[float, float]]
     cost: float
     variables: Array
+
+    @property
+    def guess(self) -> Guess:
+        """It as the first guess of another problem."""
+        return Guess(self.variables, self.way)
 
     @property
     def diverged(self) -> bool:
@@ -203,7 +207,7 @@ class Program:
 
     @cached_property
     def given(self) -> Array:
-        """(N, 89) parameters of the nodes."""
+        """(N, 91) parameters of the nodes."""
         modes, animal = self.modes, self.animal
         nodes = np.arange(modes.n_nodes)
         p = np.zeros((modes.n_nodes, N_GIVEN))
@@ -327,11 +331,14 @@ class Program:
         """(N, 18) of the animal's motion at the nodes."""
         return np.hstack([self.animal[name] for name in ("position", "angles", "joints")])
 
-    def solve(self, start: Array | None = None, first: int = 0) -> Solution:
-        """Solves the problem from a first guess (n,), by default `start()`; before node `first` it is a solution."""
-        found = answered(self, self.start() if start is None else start, first)
+    def solve(self, start: Guess | None = None, first: int = 0) -> Solution:
+        """Solves the problem from a first guess, by default `start()`; before node `first` it is a solution."""
+        animal = self.animal["position"][:, :2]
+        found = answered(self, start or Guess(self.start(), animal), first)
         w = found["variables"]
         modes, at = self.modes, self.at
+        one = float(w[at["stride"]])
+        way = found.get("way", one * animal)
         durations = w[at["durations"] : at["holds"]]
         steps = np.repeat(durations / modes.steps, modes.steps)
         n = modes.n_nodes
@@ -340,15 +347,14 @@ class Program:
             force=w[at["force"] : at["durations"]].reshape(n, 4, 3),
             time=np.concatenate([[0.0], np.cumsum(steps)]),
             durations=durations,
-            stride=float(w[at["stride"]]),
-            holds=w[at["holds"] : at["stride"]].reshape(-1, 2),
+            stride=one if "way" not in found else _length(way) / max(_length(animal), 1e-9),
+            way=way,
             converged=bool(found["converged"]),
             status=str(found["status"]),
             tried=int(found.get("tried", n - 1)),
-            so_far=found.get("so_far"),
+            so_far=Guess(found["so_far"], found["way_so_far"]) if "way" in found else None,
             first=int(found.get("first", 0)),
             iterations=int(found["iterations"]),
-            violation=float(found["violation"]),
             use=dict(zip(LIMITS, map(tuple, found["use"].tolist()), strict=True)),
             cost=float(found["cost"]),
             variables=w,
@@ -357,6 +363,10 @@ class Program:
     def rows(self, variables: Array) -> Array:
         """(N, 93) constraint rows for variables (n,)."""
         return np.array(self.functions.rows.map(self.modes.n_nodes)(variables[self.index].T, self.given.T)).T
+
+
+def _length(way: Array) -> float:
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def _turned(velocity: Array, yaw: float) -> Array:

@@ -11,7 +11,7 @@ from fastmimic.trajectory.costs import quadratic_costs
 from fastmimic.trajectory.ipopt import make_solver
 from fastmimic.trajectory.node import ROWS
 from fastmimic.trajectory.solved import Remembered
-from fastmimic.trajectory.windows import windows_of
+from fastmimic.trajectory.windows import Guess, windows_of
 
 if TYPE_CHECKING:
     from fastmimic.trajectory.program import Program
@@ -21,33 +21,35 @@ LIMITS: Final = ("torque", "torque at speed", "joint speed", "friction")
 _AT_LIMIT: Final = 1e-3
 
 
-def answered(problem: "Program", start: Array, first: int = 0) -> dict[str, Array]:
+def answered(problem: "Program", start: Guess, first: int = 0) -> dict[str, Array]:
     """The solver's answer: in one piece, or in windows if the motion does not repeat and is long. Before node `first`
     the start is a solution already."""
     everything = np.arange(problem.modes.n_nodes)
     windows = windows_of(problem.modes, problem.animal_steps, problem.config, first)
+    bounds, rows = problem.bounds_of_variables(), problem.bounds_of_rows()
     if len(windows) == 1 and first == 0:
-        return _answer(problem, everything, start, problem.bounds_of_variables(), problem.bounds_of_rows())
-    w, answers = start.copy(), list[dict[str, Array]]()
+        return _answer(problem, everything, start.variables, problem.given, bounds, rows)
+    answers = list[dict[str, Array]]()
     for window in windows:
         if answers:
             _LOG.info("%s: %.0f of %.0f s are solved", problem.motion.name, window.begins_s, windows[-1].ends_s)
-        bounds, rows = window.held(problem, w)
-        so_far = w.copy()
-        answers.append(_answer(problem, window.nodes, w, bounds, rows))
-        w[np.unique(problem.index[window.nodes])] = answers[-1]["variables"]
+        given, so_far = window.given(problem, start.way), start
+        held = window.held(problem, start.variables, bounds, rows)
+        answers.append(_answer(problem, window.nodes, start.variables, given, *held))
+        start = window.followed(problem, start, answers[-1]["variables"])
         if not answers[-1]["converged"]:
             break
     return {
         **answers[-1],
-        "variables": w,
+        "variables": start.variables,
+        "way": start.way,
         "tried": np.array(window.nodes[-1]),
-        "so_far": so_far,
+        "so_far": so_far.variables,
+        "way_so_far": so_far.way,
         "first": np.array(windows[max(len(answers) - 2, 0)].nodes[0]),
-        "use": _use(problem, w),
+        "use": _use(problem, start.variables),
         "cost": np.sum([answer["cost"] for answer in answers]),
         "iterations": np.sum([answer["iterations"] for answer in answers]),
-        "violation": np.max([answer["violation"] for answer in answers]),
     }
 
 
@@ -55,11 +57,13 @@ def _answer(
     problem: "Program",
     nodes: NDArray[np.int_],
     start: Array,
+    given: Array,
     bounds: tuple[Array, Array],
     rows: tuple[Array, Array],
 ) -> dict[str, Array]:
     """The solver's answer for some nodes (k,), or what it answered to the same problem before. `start` and `bounds`
-    are of all variables (n,), `rows` of all nodes (N, 93); the answer has the variables that the nodes use."""
+    are of all variables (n,), `given` (N, 91) and `rows` of all nodes (N, 93); the answer has the variables that the
+    nodes use."""
     used = np.unique(problem.index[nodes])
     index = np.searchsorted(used, problem.index[nodes])
     first, low, high = start[used], bounds[0][used], bounds[1][used]
@@ -69,16 +73,15 @@ def _answer(
     outside[used] = 0.0
     inside = abs(smooth) @ outside == 0.0
     smooth, wanted = smooth[inside][:, used], wanted[inside]
-    parts = (problem.given[nodes], low, high, *within, smooth.data, wanted, first)
+    parts = (given[nodes], low, high, *within, smooth.data, wanted, first)
     known = Remembered(repr((problem.config, problem.robot.said)), [index, *parts])
     if (found := known.read()) is not None:
         return found
     solver, (least, most) = make_solver(
-        problem.functions, index, problem.given[nodes], within, (smooth, wanted), problem.config
+        problem.functions, index, given[nodes], within, (smooth, wanted), problem.config
     )
     answer = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
-    stats, g = solver.stats(), np.array(answer["g"]).ravel()
-    w = start.copy()
+    stats, w = solver.stats(), start.copy()
     w[used] = np.array(answer["x"]).ravel()
     found = {
         "variables": w[used],
@@ -87,7 +90,6 @@ def _answer(
         "converged": np.array(bool(stats["success"])),
         "status": np.array(str(stats["return_status"])),
         "iterations": np.array(int(stats["iter_count"])),
-        "violation": np.array(max(0.0, float((least - g).max(initial=0.0)), float((g - most).max(initial=0.0)))),
     }
     if stats["success"]:
         known.keep(found)

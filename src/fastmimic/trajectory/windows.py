@@ -9,10 +9,19 @@ from numpy.typing import NDArray
 from fastmimic.base.arrays import Array
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.contact_modes import ContactModes
-from fastmimic.trajectory.node import ROWS
+from fastmimic.trajectory.node import GIVEN, ROWS
 
 if TYPE_CHECKING:
     from fastmimic.trajectory.program import Program
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Variables (n,) of a program, and the way (N, 2) that the trunk follows with them: the animal's x and y at the
+    nodes, each window's part with its own stride."""
+
+    variables: Array
+    way: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +33,21 @@ class Window:
     begins_s: float
     ends_s: float
 
-    def held(self, problem: "Program", found: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Bounds of all variables (n,) and of all rows (N, 93), with what is solved held at `found` (n,); the stride,
-        which belongs to the whole, is the animal's."""
+    def given(self, problem: "Program", way: Array) -> Array:
+        """(N, 91) parameters of the nodes; the stride counts from the window's beginning, a place of the way (N, 2)."""
+        given, first = problem.given.copy(), int(self.nodes[0])
+        given[:, GIVEN["origin"]] = way[first]
+        given[:, GIVEN["position"]][:, :2] -= problem.animal["position"][first, :2]
+        return given
+
+    def held(
+        self, problem: "Program", found: Array, bounds: tuple[Array, Array], rows: tuple[Array, Array]
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """The bounds of all variables (n,) and of all rows (N, 93), with what is solved held at `found` (n,)."""
         modes, at = problem.modes, problem.at
-        (low, high), (least, most) = problem.bounds_of_variables(), problem.bounds_of_rows()
-        low[at["stride"]] = high[at["stride"]] = 1.0
+        low, high, least, most = (bound.copy() for bound in (*bounds, *rows))
+        if not problem.config.window_strides:
+            low[at["stride"]] = high[at["stride"]] = 1.0
         first = int(self.nodes[0])
         if first == 0:
             return (low, high), (least, most)
@@ -47,6 +65,22 @@ class Window:
         for name in ("feet", "knees"):  # of the node that is held
             least[first, ROWS[name]], most[first, ROWS[name]] = -np.inf, np.inf
         return (low, high), (least, most)
+
+    def followed(self, problem: "Program", guess: Guess, found: Array) -> Guess:
+        """The guess with what the window's variables are found to be; what comes after it is moved along."""
+        at, (first, last) = problem.at, self.nodes[[0, -1]]
+        w, way, animal = guess.variables.copy(), guess.way.copy(), problem.animal["position"][:, :2]
+        used = np.unique(problem.index[self.nodes])
+        w[used] = found
+        way[self.nodes] = way[first] + w[at["stride"]] * (animal[self.nodes] - animal[first])
+        moved = way[last] - guess.way[last]
+        way[last + 1 :] += moved
+        begun = np.unique(problem.modes.foothold[: last + 1])
+        holds = np.setdiff1d(np.arange(len(problem.modes.footholds)), begun)
+        later = np.concatenate([18 * np.arange(last + 1, problem.modes.n_nodes), at["holds"] + 2 * holds])
+        later = later[~np.isin(later, used)]
+        w[later[:, None] + np.arange(2)] += moved
+        return Guess(w, way)
 
 
 def windows_of(modes: ContactModes, step_s: Array, config: TrajectoryConfig, first: int = 0) -> list[Window]:
