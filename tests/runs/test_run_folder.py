@@ -138,7 +138,7 @@ def test_the_video_says_when_a_search_has_gained_nothing(
     result = replace(imitate("trot", method="mbc", duration_s=0.1), values=np.array([amplitude]), **searched)
     shown: list[Track] = []
     monkeypatch.setattr("fastmimic.report.figures.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
-    write_video(result, RunFolder(tmp_path))
+    write_video(result, RunFolder.at(tmp_path))
     assert shown[-1].title == f"with: executable, {title}"
 
 
@@ -162,7 +162,7 @@ def test_the_video_says_what_it_shows(
     result = replace(result, motion=stands_for, method=method, history=history)  # type: ignore[arg-type]
     shown: list[Track] = []
     monkeypatch.setattr("fastmimic.report.figures.render_video", lambda robot, tracks, *_, **__: shown.extend(tracks))
-    write_video(result, RunFolder(tmp_path), clip=open_clip("trot"))
+    write_video(result, RunFolder.at(tmp_path), clip=open_clip("trot"))
     animal, without, with_it = shown
     assert isinstance(animal, AnimalTrack)
     assert (animal.title, animal.caption) == ("the animal", "trot")
@@ -172,9 +172,9 @@ def test_the_video_says_what_it_shows(
     assert with_it.caption == f"trot · {METHODS[method].label} · reward {result.after.reward[0]:.2f}"
     assert len({len(track.pose) for track in shown}) == 1
     shown.clear()
-    write_video(result, RunFolder(tmp_path))
+    write_video(result, RunFolder.at(tmp_path))
     assert [track.title for track in shown] == [without.title, with_it.title]
     kinematic = replace(result, motion=replace(stands_for, animal=None, demonstration=None))
     shown.clear()
-    write_video(kinematic, RunFolder(tmp_path))
+    write_video(kinematic, RunFolder.at(tmp_path))
     assert [track.title for track in shown] == ["optimised" if searched else "not optimised"]

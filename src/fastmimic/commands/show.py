@@ -66,7 +66,7 @@ def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any])
     for name in RESULTS:
         remove_file(folder.path / name)
     draw_run(result, folder)
-    folder.write(result.motion, config, result.metrics(), searched=result.history is not None)
+    folder.write_run(result.motion, config, result.metrics(), searched=result.history is not None)
 
 
 def put_result(

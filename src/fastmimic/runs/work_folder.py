@@ -94,8 +94,12 @@ class WorkFolder:
 
 
 @dataclass(frozen=True)
-class RunFolder:
-    path: Path
+class RunFolder(WorkFolder):
+    """The folder of one run. Other than longer work, a finished one of the same arguments is replaced."""
+
+    @classmethod
+    def at(cls, path: Path) -> "RunFolder":
+        return cls(path, "a run", CONFIG, "arguments", (*RESULTS, CHECKPOINT))
 
     @property
     def checkpoint(self) -> Path:
@@ -110,7 +114,9 @@ class RunFolder:
     def finished(self) -> bool:
         return (self.path / METRICS).is_file()
 
-    def write(self, motion: Motion, config: Mapping[str, Any], metrics: Mapping[str, Any], *, searched: bool) -> None:
+    def write_run(
+        self, motion: Motion, config: Mapping[str, Any], metrics: Mapping[str, Any], *, searched: bool
+    ) -> None:
         """Writes the motion, `config.json` and `metrics.json`; raises `OutputError` if it cannot. Unless `searched`,
         the run has no checkpoint, and an earlier run's is removed."""
         motion.save(self.path / MOTION)
@@ -123,7 +129,7 @@ class RunFolder:
         """Writes `metrics.json` with the video's rendering time, s; raises `OutputError`."""
         write_json(self.path / METRICS, {**metrics, "video_s": video_s})
 
-    def check(self, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
+    def check_run(self, same: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
         """Checks the folder before a run begins; writes nothing. Raises as `open_run`."""
         if resume and overwrite:
             raise ConfigError("--resume goes on with a run and --overwrite replaces it: give one of them")
@@ -131,9 +137,8 @@ class RunFolder:
             raise CheckpointError(f"{self.checkpoint}: no checkpoint to resume from; leave out --resume to start anew")
         if resume or overwrite:
             return
-        found = [name for name in (*RESULTS, CONFIG, CHECKPOINT) if (self.path / name).exists()]
-        arguments = WorkFolder(self.path, "a run", CONFIG, "arguments", ()).earlier()
-        if found and arguments is None:
+        arguments = self.earlier()
+        if arguments is None and (found := self.found()):
             said = f"{self.path} holds {', '.join(found)} of something else"
             raise OutputError(f"{said}; choose another --out, or --overwrite them")
         if arguments is not None and (old := differences(same, arguments)):
@@ -154,9 +159,9 @@ def open_run(
     replaced. Until there are results, `config.json` holds `config`; `same` are the arguments that make a run the same.
     Raises `ConfigError` for both `resume` and `overwrite`, `CheckpointError` if there is nothing to resume from, and
     `OutputError` if the folder holds another run, or cannot be written to."""
-    folder = RunFolder(path)
+    folder = RunFolder.at(path)
     with created(path):
-        folder.check(same, resume=resume, overwrite=overwrite)
+        folder.check_run(same, resume=resume, overwrite=overwrite)
         started = not resume and not folder.finished
         had_config = (path / CONFIG).is_file()
         if started:
@@ -177,7 +182,7 @@ def default_folder(root: Path, name: str, *, resume: bool) -> Path:
         path = root / f"{name}-{len(taken) + 1}"
     if not resume:
         return path
-    unfinished = [p for p in taken if RunFolder(p).checkpoints]
+    unfinished = [p for p in taken if RunFolder.at(p).checkpoints]
     return unfinished[-1] if unfinished else root / name
 
 
