@@ -40,6 +40,7 @@ _STEADIER: Final[tuple[dict[str, float], ...]] = (
     {"capture_weight": 1000.0, "capture_m": 0.03, "loading": 3.0},
 )
 """Margins that a motion gets instead, one after another, while the robot falls with it."""
+_FURTHER: Final = 2.0  # times the cost, at which such margins are not taken: what is left is another motion
 _PASSAGE_TIGHTER: Final = {"knee_m": 0.06, "window_strides": True}
 _PASSAGE_STEADIER: Final = {"knee_m": 0.09}
 """What a passage gets with them: speed gives way where it is too high, and knees are higher, since a loaded foot gives
@@ -144,7 +145,8 @@ def nearest_executable(
 
     for more in _TIGHTER if best.figures.exceeded == ["friction"] else _TIGHTER[1:]:
         other = with_more(more, _PASSAGE_TIGHTER) if best.figures.exceeded else None
-        if other and max(other.figures.most.values()) < max(best.figures.most.values()):
+        nearer = other and other.figures.cost < _FURTHER * best.figures.cost
+        if other and nearer and max(other.figures.most.values()) < max(best.figures.most.values()):
             best, tighter = other, more
     if falls is None:
         return best
