@@ -116,7 +116,7 @@ def test_more_margin_while_a_limit_is_exceeded_between_the_nodes(
     assert "exceeded between the nodes: torque, 1.20 of it" in worst.lines()
     monkeypatch.setattr(executable, "_FURTHER", 0.5)
     uses = iter([{"torque": 1.2}, {"torque": 0.9}])
-    assert nearest_executable(a1, pace).figures.margins == {}  # a motion so much further from the animal's is another one
+    assert nearest_executable(a1, pace).figures.margins == {}  # so much further from the animal's: another motion
 
 
 def test_what_came_of_running_it_is_kept_for_this_packages_own_check(
