@@ -30,6 +30,13 @@ def trotting(a1: Robot, cycles: int, clip: Clip | None = None) -> Motion:
     return retarget(replace(clip, points_w=points), a1, cycle=False, executable=False)[0]
 
 
+def excess(program: Program, solution: Solution) -> float:
+    """By how much a solution exceeds a bound of its rows."""
+    low, high = program.bounds_of_rows()
+    rows = program.rows(solution.variables)
+    return float(np.nanmax(np.maximum(low - rows, rows - high)))
+
+
 @pytest.fixture(scope="module")
 def passage(a1: Robot) -> Motion:
     return trotting(a1, 2)
@@ -70,9 +77,7 @@ def test_the_whole_keeps_every_limit_and_is_near_that_of_one_piece(a1: Robot, pa
     program = Program(a1, passage, SHORT)
     solution = program.solve()
     assert solution.converged
-    low, high = program.bounds_of_rows()
-    rows = program.rows(solution.variables)
-    assert np.nanmax(np.maximum(low - rows, rows - high)) < 1e-4
+    assert excess(program, solution) < 1e-4
     whole = nearest_executable(a1, passage, replace(SHORT, window_s=10.0)).motion
     parts = nearest_executable(a1, passage, SHORT).motion
     n = min(whole.n_samples, parts.n_samples)
@@ -93,9 +98,7 @@ def test_a_passage_is_tried_again_from_the_window_before_the_one_without_a_solut
     assert again.iterations < solved.iterations
     np.testing.assert_array_equal(again.coordinates[: solved.first + 1], solved.coordinates[: solved.first + 1])
     assert np.abs(again.coordinates[solved.first + 1 :] - solved.coordinates[solved.first + 1 :]).max() > 1e-4
-    low, high = program.bounds_of_rows()
-    rows = program.rows(again.variables)
-    assert np.nanmax(np.maximum(low - rows, rows - high)) < 1e-4
+    assert excess(program, again) < 1e-4
 
 
 def test_a_passage_with_which_the_robot_falls_goes_on_from_what_was_found(a1: Robot, passage: Motion) -> None:
@@ -117,9 +120,7 @@ def test_windows_have_strides_of_their_own(a1: Robot) -> None:
     program = Program(a1, passage, config)
     solution = program.solve()
     assert solution.converged
-    low, high = program.bounds_of_rows()
-    rows = program.rows(solution.variables)
-    assert np.nanmax(np.maximum(low - rows, rows - high)) < 1e-4
+    assert excess(program, solution) < 1e-4
     animal = program.animal["position"][:, :2]
     strides = np.diff(solution.way[:, 0]) / np.diff(animal[:, 0])
     firsts = [window.nodes[0] for window in windows_of(program.modes, program.animal_steps, config)]
