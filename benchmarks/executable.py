@@ -68,7 +68,7 @@ def main() -> None:
         robot = fm.load_robot(name)
         clips = {motion: named(motion, robot) for motion in args.motions}
         cuts = random_cycles(args.cycles, np.random.default_rng(args.seed)) if args.cycles else []
-        clips |= {str(clip.meta.get("name")): clip for clip in cuts}
+        clips |= {clip.origin.name: clip for clip in cuts}
         for motion, clip in clips.items():
             row = {"motion": motion, "robot": name, **measured(robot, clip, args)}
             print(" ".join(f"{k}={shown(v)}" for k, v in row.items()), file=sys.stderr, flush=True)

@@ -102,7 +102,7 @@ def random_cycles(count: int, rng: np.random.Generator, folder: str | Path | Non
         ends = range(start + shortest, start + longest + 1)
         end = min(ends, key=lambda e: _mismatch(take.cut(start, e)))
         cut = take.cut(start, end)
-        cycles.append(replace(cut, is_cycle=True, meta={**cut.meta, "name": f"{name} {start}:{end}"}))
+        cycles.append(replace(cut, is_cycle=True).named(f"{name} {start}:{end}"))
     return cycles
 
 

@@ -90,7 +90,7 @@ def main() -> None:
     rows = slice(settled, steps)
     assert track.contact is not None
     simulated = Track(track.pose[rows], "simulated", track.caption, contact=track.contact[rows])
-    recorded = clip.meta.get("format") != "built-in"
+    recorded = clip.origin.format != "built-in"
     words = ("dog", "motion capture, scaled") if recorded else ("animal", "keypoints, by formula")
     animal = AnimalTrack.of(clip, robot, motion, shown_s, *words)
     retargeted = motion_track(demonstration, shown_s, "retargeted", caption=f"to the {robot.name.upper()}")

@@ -15,7 +15,7 @@ def clip_from_arrays() -> fm.Clip:
     """What it takes: ten points (frames, 10, 3) in metres with z up, in the order of `POINT_NAMES`, and a rate."""
     animal = fm.open_clip("walk")  # stands in for your own recording
     points_w = np.array(animal.points_w)  # pelvis, neck, four hips or shoulders, four toes; legs FR, FL, RR, RL
-    return fm.Clip(points_w=points_w, rate_hz=120.0, is_cycle=True, meta={"name": "my-walk"})
+    return fm.Clip(points_w=points_w, rate_hz=120.0, is_cycle=True).named("my-walk")
 
 
 def clip_from_file(path: str, frames: str | None = None) -> fm.Clip:
@@ -30,7 +30,7 @@ robot = fm.load_robot("go2")
 given = [a for a in sys.argv[1:] if not a.startswith("--")]
 clip = clip_from_file(*given) if given else clip_from_arrays()
 motion, report = fm.retarget(clip, robot)
-for sentence in clip.meta.get("assumed", []):
+for sentence in clip.origin.assumed:
     print(f"assumed: {sentence}")
 print("\n".join(report.lines()))
 

@@ -34,5 +34,5 @@ if __name__ == "__main__":
         file.write_text("".join(json.dumps({"keypoints": frame}) + "\n" for frame in frames))
         clip = fm.open_clip(file)
     motion, report = fm.retarget(clip, fm.load_robot("a1"), cycle=True)
-    print(f"{clip.meta['format']}: {clip.n_frames} frames become {motion.n_samples} samples")
+    print(f"{clip.origin.format}: {clip.n_frames} frames become {motion.n_samples} samples")
     print("\n".join(report.lines()))

@@ -63,8 +63,8 @@ def test_the_table_has_a_line_for_each_motion(rows: list[Surveyed]) -> None:
 def test_random_cycles_follow_from_the_seed(data_folder: Path) -> None:
     first, second = (random_cycles(3, np.random.default_rng(5), data_folder) for _ in range(2))
     other = random_cycles(3, np.random.default_rng(6), data_folder)
-    assert [clip.meta["name"] for clip in first] == [clip.meta["name"] for clip in second]
-    assert [clip.meta["name"] for clip in first] != [clip.meta["name"] for clip in other]
+    assert [clip.origin.name for clip in first] == [clip.origin.name for clip in second]
+    assert [clip.origin.name for clip in first] != [clip.origin.name for clip in other]
     for clip in first:
         assert clip.is_cycle
         assert 0.4 <= clip.n_frames / clip.rate_hz <= 1.2

@@ -16,6 +16,7 @@ from cli.running import TINY, Run
 from clips.sample_files import csv_text, keypoint_text, take_text
 from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import RECORDED, open_clip
+from fastmimic.clips.clip import ClipOrigin
 from fastmimic.clips.data import Dataset
 from fastmimic.clips.synthesis import GAITS, JUMPS
 from fastmimic.commands.show import provenance
@@ -140,7 +141,7 @@ def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
 def test_a_recordings_line_has_its_frames_once(run: Run, in_folder: Path) -> None:
     assert run("retarget", "pace", "--out", "o.npz").status == 0
     motion = Motion.load(in_folder / "o.npz")
-    recorded = {"source": "dog/walk.txt frames 162:201", "frames": [162, 201], "format": "keypoints"}
+    recorded = ClipOrigin(source="dog/walk.txt frames 162:201", frames=(162, 201), format="keypoints")
     named = replace(motion, provenance=replace(motion.provenance, source=recorded))
     assert ": dog/walk.txt frames 162:201, dog keypoints, scale 0.825, " in provenance(named)
 

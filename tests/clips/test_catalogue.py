@@ -52,26 +52,26 @@ def test_loops_on_the_laikago_last_one_period(data_folder: Path, name: str):
 
 @pytest.mark.parametrize("name", RECORDED)
 def test_the_licence_travels(data_folder: Path, name: str):
-    meta = open_clip(name).meta
-    assert meta["name"] == name
-    assert "CC BY-NC 4.0" in meta["licence"]
-    assert "AI4Animation" in meta["credit"]
-    assert meta["source"].startswith(("dog_keypoints/", "deepmimic_motions/"))
+    origin = open_clip(name).origin
+    assert origin.name == name
+    assert "CC BY-NC 4.0" in str(origin.licence)
+    assert "AI4Animation" in str(origin.credit)
+    assert str(origin.source).startswith(("dog_keypoints/", "deepmimic_motions/"))
 
 
 def test_the_licence_travels_with_a_file_given_by_path(data_folder: Path, tmp_path: Path):
     copy = tmp_path / "mine.dat"
     copy.write_bytes((data_folder / "dog_keypoints" / "dog_pace_joint_pos.txt").read_bytes())
-    assert "CC BY-NC 4.0" in open_clip(copy).meta["licence"]
+    assert "CC BY-NC 4.0" in str(open_clip(copy).origin.licence)
     copy.write_text(keypoint_text())
-    assert open_clip(copy).meta["licence"] is None
+    assert open_clip(copy).origin.licence is None
 
 
 def test_a_file_that_is_not_the_published_one_is_said(data_folder: Path, tmp_path: Path):
     (tmp_path / "dog_keypoints").mkdir()
     (tmp_path / "dog_keypoints" / "dog_walk00_joint_pos.txt").write_text(keypoint_text(300))
-    assert any("SHA-256 differs" in s for s in open_clip("dog:pace", folder=tmp_path).meta["assumed"])
-    assert not any("SHA-256" in s for s in open_clip("dog:pace").meta["assumed"])
+    assert any("SHA-256 differs" in s for s in open_clip("dog:pace", folder=tmp_path).origin.assumed)
+    assert not any("SHA-256" in s for s in open_clip("dog:pace").origin.assumed)
 
 
 def test_options_apply_to_recorded_motions(data_folder: Path):
@@ -85,9 +85,9 @@ def test_options_apply_to_recorded_motions(data_folder: Path):
 @pytest.mark.parametrize("name", GAITS)
 def test_built_in_gaits_open_without_any_data(name: str, tmp_path: Path):
     clip = open_clip(name, folder=tmp_path)
-    assert clip.meta["name"] == name
-    assert clip.meta["source"] == "built in"
-    assert clip.meta["licence"]
+    assert clip.origin.name == name
+    assert clip.origin.source == "built in"
+    assert clip.origin.licence
     assert clip.is_cycle is True
 
 

@@ -38,7 +38,7 @@ def test_a_registered_format_is_read_listed_and_named_in_errors(bare: Format, tm
     assert detect_format(path) == "bare"
     clip = open_clip(path)
     np.testing.assert_array_equal(clip.points_w, points)
-    assert (clip.meta["format"], clip.meta["assumed"], clip.meta["licence"]) == ("bare", [], None)
+    assert (clip.origin.format, clip.origin.assumed, clip.origin.licence) == ("bare", (), None)
     assert ".bare" in suffixes()
     assert [Path(source.place).name for source in find_sources(tmp_path)] == ["walk.bare"]
     with pytest.raises(ClipError, match="y up does not apply to bare floats"):

@@ -87,16 +87,16 @@ def test_first_line_with_a_lost_column_is_reported_as_such(file):
     lines = keypoint_text().splitlines()
     lines[0] = lines[0].rsplit(",", 1)[0]
     assert any(
-        "line 1 has 80 columns; expected 81" in said for said in read_clip(file("\n".join(lines))).meta["assumed"]
+        "line 1 has 80 columns; expected 81" in said for said in read_clip(file("\n".join(lines))).origin.assumed
     )
 
 
 def test_provenance(file):
     clip = read_clip(file(keypoint_text(), "rex.txt"))
-    assert clip.meta["name"] == "rex"
-    assert clip.meta["source"] == "rex.txt"
-    assert clip.meta["format"] == "keypoints"
-    assert clip.meta["licence"] is None
+    assert clip.origin.name == "rex"
+    assert clip.origin.source == "rex.txt"
+    assert clip.origin.format == "keypoints"
+    assert clip.origin.licence is None
 
 
 @pytest.mark.parametrize("name", TEXTS)
@@ -106,7 +106,7 @@ def test_overrides_apply_to_every_format(file, a1, name: str):
     clip = read_clip(path, ReadOptions(robot=a1, fps=25, scale=0.5, frames=(1, 4)))
     assert (clip.rate_hz, clip.scale, clip.n_frames) == (25, 0.5, 3)
     np.testing.assert_array_equal(clip.points_w, whole.points_w[1:4])
-    assert clip.meta["frames"] == [1, 4]
+    assert clip.origin.frames == (1, 4)
 
 
 @pytest.mark.parametrize("name", ["deepmimic", "csv"])

@@ -73,7 +73,7 @@ def test_robot_layout_and_order_are_those_that_give_the_feet(
     assert clip.rate_hz == pytest.approx(50.0)
     assert clip.is_cycle is None  # 'Wrap' is in all such files
     legs = ", ".join(LEGS[i] for i in order)
-    assert any(f"joints are the {name}'s, legs {legs}" in said for said in clip.meta["assumed"])
+    assert any(f"joints are the {name}'s, legs {legs}" in said for said in clip.origin.assumed)
 
 
 def test_a_closed_loop_loses_its_repeated_frame(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_the_root_may_be_the_centre_of_mass(isaac: bool, tmp_path: Path) -> None
     rows[:, first : first + 12] -= np.tile(quat_rotate(quat, offset_b) if isaac else offset_b, 4)
     clip = read_clip(write(tmp_path / "trot0.txt", rows))
     check(clip, robot)
-    assert any("its root is 12.9 mm from the robot's" in said for said in clip.meta["assumed"])
+    assert any("its root is 12.9 mm from the robot's" in said for said in clip.origin.assumed)
 
 
 def test_legs_that_are_a_little_shorter_are_not_taken_for_another_root(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_the_trunk_turns_the_points(a1):
 
 
 def test_without_header_the_order_and_the_rate_are_assumed_and_said(a1):
-    said = " / ".join(csv_motion.parse(csv_text(), robot=a1).meta["assumed"])
+    said = " / ".join(csv_motion.parse(csv_text(), robot=a1).origin.assumed)
     assert "quaternion x y z w" in said
     assert "FR_abduction, FR_hip, FR_knee" in said
     assert "30 frames a second" in said
@@ -52,7 +52,7 @@ def test_without_header_the_order_and_the_rate_are_assumed_and_said(a1):
 def test_given_rate_is_used(a1):
     clip = csv_motion.parse(csv_text(), robot=a1, fps=50)
     assert clip.rate_hz == 50
-    assert not any("frames a second" in s for s in clip.meta["assumed"])
+    assert not any("frames a second" in s for s in clip.origin.assumed)
 
 
 @pytest.mark.parametrize(
@@ -72,13 +72,13 @@ def test_named_columns_are_found_in_any_order_and_spelling(a1, joints: list[str]
     names = [(ROOT + joints)[i] for i in order]
     clip = csv_motion.parse(named(names, values[:, order]), robot=a1)
     np.testing.assert_array_equal(clip.points_w, csv_motion.parse(table_text(values, ","), robot=a1).points_w)
-    assert not any("columns are" in s for s in clip.meta["assumed"])
+    assert not any("columns are" in s for s in clip.origin.assumed)
 
 
 def test_a_comment_with_names_is_a_header(a1):
     """As numpy.savetxt writes it."""
     text = "# " + csv_text(header=True)
-    assert not any("columns are" in s for s in csv_motion.parse(text, robot=a1).meta["assumed"])
+    assert not any("columns are" in s for s in csv_motion.parse(text, robot=a1).origin.assumed)
 
 
 def test_a_time_column_gives_the_rate(a1):
@@ -112,7 +112,7 @@ def test_columns_without_use_are_named(a1):
     text = named([*ROOT, *JOINT_NAMES, "FR_contact", "gait"], np.hstack([csv_values(), np.ones((8, 2))]))
     text = text.replace("1.00000\n", "trots\n")
     assert text.count("trots") == 8
-    assert any("not used: fr_contact, gait" in s for s in csv_motion.parse(text, robot=a1).meta["assumed"])
+    assert any("not used: fr_contact, gait" in s for s in csv_motion.parse(text, robot=a1).origin.assumed)
 
 
 def test_a_missing_joint_is_named_and_the_closest_column_offered(a1):
@@ -186,7 +186,7 @@ def arrays_file(path: Path, q: np.ndarray, dt: np.ndarray) -> Path:
 def test_a_trajectory_in_arrays_is_that_of_the_table(tmp_path: Path, a1):
     path = arrays_file(tmp_path / "trajectory.npz", csv_values(), np.full(len(csv_values()), 0.02))
     clip, wanted = read_clip(path, ReadOptions(robot=a1)), csv_motion.parse(csv_text(), robot=a1, fps=50)
-    assert clip.meta["format"] == "trajectory"
+    assert clip.origin.format == "trajectory"
     assert clip.rate_hz == pytest.approx(50.0)
     np.testing.assert_allclose(clip.points_w, wanted.points_w, atol=1e-12)
     np.testing.assert_allclose(clip.root_quat_wxyz, wanted.root_quat_wxyz, atol=1e-12)

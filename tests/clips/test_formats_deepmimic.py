@@ -64,8 +64,8 @@ def test_clamp_keeps_all_frames_and_is_no_cycle():
 def test_a_loop_that_does_not_close_is_said():
     document = deepmimic_document()
     document["Frames"][-1][7] += 0.25
-    assert any("differ by 0.25 rad" in s for s in deepmimic.parse(json.dumps(document)).meta["assumed"])
-    assert not any("close" in s for s in deepmimic.parse(deepmimic_text()).meta["assumed"])
+    assert any("differ by 0.25 rad" in s for s in deepmimic.parse(json.dumps(document)).origin.assumed)
+    assert not any("close" in s for s in deepmimic.parse(deepmimic_text()).origin.assumed)
 
 
 def test_given_rate_replaces_frame_duration():

@@ -32,7 +32,7 @@ def test_points_are_named_by_leg_and_turned_z_up():
 def test_rate_and_axis_are_assumed_and_said():
     clip = keypoints.parse(keypoint_text())
     assert clip.rate_hz == 60
-    said = " / ".join(clip.meta["assumed"])
+    said = " / ".join(clip.origin.assumed)
     assert "60 frames a second" in said
     assert "y is up" in said
     assert "metres" in said
@@ -41,7 +41,7 @@ def test_rate_and_axis_are_assumed_and_said():
 def test_given_rate_is_used_and_not_called_assumed():
     clip = keypoints.parse(keypoint_text(), fps=30)
     assert clip.rate_hz == 30
-    assert not any("frames a second" in sentence for sentence in clip.meta["assumed"])
+    assert not any("frames a second" in sentence for sentence in clip.origin.assumed)
 
 
 def test_a_z_up_file_is_recognised_and_gives_the_same_clip():
@@ -75,7 +75,7 @@ def test_line_endings_of_other_systems_are_read(ending: str):
 
 def unread(text: str) -> str:
     """What is said of the first line of a clip that cannot be read."""
-    (found,) = (said for said in keypoints.parse(text).meta["assumed"] if "cannot be read" in said)
+    (found,) = (said for said in keypoints.parse(text).origin.assumed if "cannot be read" in said)
     return str(found)
 
 
@@ -100,10 +100,10 @@ def test_a_minute_that_was_not_tracked_leaves_the_others(data_folder: Path) -> N
     lines[200:260] = [",".join(["nan"] * 81)] * 60
     lines[300] = lines[300].replace(lines[300].split(",")[31], "", 1)
     rest = keypoints.parse("\n".join(lines))
-    assert rest.meta["parts"] == [[0, 200], [260, len(lines)]]
+    assert rest.origin.parts == ((0, 200), (260, len(lines)))
     assert rest.body_w is not None
     assert whole.body_w is not None
-    first, end = rest.meta["frames"]
+    first, end = rest.origin.frames
     np.testing.assert_allclose(rest.points_w, whole.points_w[first:end], atol=0.02)
     np.testing.assert_allclose(rest.body_w, whole.body_w[first:end], atol=0.02)
 

@@ -81,7 +81,7 @@ def test_a_bvh_gives_the_points_in_the_world_whatever_its_order_of_rotations(ord
     leg = np.linalg.norm(clip.toes_w - clip.hips_w, axis=-1)
     error = np.linalg.norm(read.toes_w - clip.toes_w, axis=-1)
     np.testing.assert_allclose(error, np.abs(leg - leg.mean(axis=0)), atol=1e-6)  # its legs keep their mean length
-    assert any("centimetres" in sentence for sentence in read.meta["assumed"])
+    assert any("centimetres" in sentence for sentence in read.origin.assumed)
     assert read.skeleton.points == 15  # ten joints and five end sites
 
 

@@ -97,7 +97,7 @@ def test_points_that_were_not_seen_are_gaps(name: str, tmp_path: Path) -> None:
     points[100:110, TOE] = np.nan
     clip = read_clip(tmp_path / name, FILES[name][1](tmp_path / name, points))
     assert np.abs(clip.points_w - walk()).max() < 0.02
-    assert any("FR_toe 10 frames (10 missing)" in sentence for sentence in clip.meta["assumed"])
+    assert any("FR_toe 10 frames (10 missing)" in sentence for sentence in clip.origin.assumed)
 
 
 def test_a_recorded_dog_survives_every_format(data_folder: Path, tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def test_of_several_animals_the_one_with_most_points_is_read(tmp_path: Path) -> 
     path.write_text(pose_files.deeplabcut_csv({"rex": lost, "fido": points}))
     clip = read_clip(path, ReadOptions(fps=RATE))
     np.testing.assert_allclose(clip.points_w, points, atol=1e-6)
-    assert "of 2 animals, fido is read: it has the most points" in clip.meta["assumed"]
+    assert "of 2 animals, fido is read: it has the most points" in clip.origin.assumed
     needs("two.h5")
     pose_files.sleap_anipose_h5(tmp_path / "two.h5", [lost, points], names=True)
     clip = read_clip(tmp_path / "two.h5", ReadOptions(fps=RATE))
@@ -183,7 +183,7 @@ def test_a_point_on_which_the_views_of_anipose_disagree_is_a_gap(usual: float, f
     path.write_text("\n".join(map(",".join, rows)) + "\n")
     clip = read_clip(path, ReadOptions(fps=RATE))
     said = "10 points with a reprojection error above 25 px are left out"
-    assert (said in clip.meta["assumed"]) == found
+    assert (said in clip.origin.assumed) == found
     assert (np.abs(clip.points_w - walk()).max() < 0.01) == found
 
 
@@ -216,7 +216,7 @@ def test_rows_that_anipose_left_out_are_gaps(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("size", "unit"), [(1000.0, "millimetres"), (650.0, "millimetres"), (100.0, "centimetres")])
 def test_the_unit_follows_from_the_legs(size: float, unit: str, tmp_path: Path) -> None:
     (tmp_path / "take.csv").write_text(pose_files.deeplabcut_csv({"": size / 1000 * walk(1)}))
-    said = read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE)).meta["assumed"]
+    said = read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE)).origin.assumed
     assert any(f"coordinates are in {unit}" in sentence for sentence in said)
 
 
@@ -227,7 +227,7 @@ def test_a_damaged_table_names_line_and_point(tmp_path: Path) -> None:
     (tmp_path / "take.csv").write_text("\n".join([*lines[:8], ",".join(fields), *lines[9:]]))
     clip = read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))
     first = "line 9, column 5 (back_base x): 'lost' is not a number"
-    assert f"1 line that cannot be read: as missing frames (the first: {first})" in clip.meta["assumed"]
+    assert f"1 line that cannot be read: as missing frames (the first: {first})" in clip.origin.assumed
     (tmp_path / "take.csv").write_text("\n".join([lines[0], lines[1] + ",tail", *lines[2:]]))
     with pytest.raises(ClipError, match="have different numbers of columns"):
         read_clip(tmp_path / "take.csv", ReadOptions(fps=RATE))

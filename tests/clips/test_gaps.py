@@ -64,7 +64,7 @@ def test_a_pair_whose_names_are_swapped_is_swapped_back_and_said(swapped: list[s
     (tmp_path / "points.csv").write_text(table_text(points))
     clip = read_clip(tmp_path / "points.csv")
     np.testing.assert_allclose(clip.points_w, walk(), atol=1e-6)
-    said = [sentence for sentence in clip.meta["assumed"] if "swapped" in sentence]
+    said = [sentence for sentence in clip.origin.assumed if "swapped" in sentence]
     assert [sentence.split(" ")[0] for sentence in said] == swapped
 
 
@@ -83,7 +83,7 @@ def test_a_short_gap_is_filled_close_to_the_path_and_said(tmp_path: Path) -> Non
     (tmp_path / "points.csv").write_text(table_text(points))
     clip = read_clip(tmp_path / "points.csv")
     assert np.abs(clip.points_w - whole).max() < 0.02
-    (said,) = (sentence for sentence in clip.meta["assumed"] if "filled" in sentence)
+    (said,) = (sentence for sentence in clip.origin.assumed if "filled" in sentence)
     assert said == "gaps of up to 0.2 s are filled: FR_toe 12 frames, neck 5 (17 missing)"
 
 
@@ -148,9 +148,9 @@ def split(tmp_path: Path) -> Path:
 def test_of_a_take_with_a_long_gap_the_longest_part_is_read(split: Path) -> None:
     clip = read_clip(split)
     np.testing.assert_allclose(clip.points_w, walk(6)[140:400], atol=1e-6)
-    assert clip.meta["parts"] == [[0, 80], [140, 400], [460, 576]]
-    assert clip.meta["frames"] == [140, 400]
-    assert any("0:140 and 400:576 are left out" in sentence for sentence in clip.meta["assumed"])
+    assert clip.origin.parts == ((0, 80), (140, 400), (460, 576))
+    assert clip.origin.frames == (140, 400)
+    assert any("0:140 and 400:576 are left out" in sentence for sentence in clip.origin.assumed)
 
 
 def test_frames_choose_another_part_and_a_gap_within_them_is_refused(split: Path) -> None:
@@ -193,10 +193,10 @@ def test_lines_that_cannot_be_read_are_missing_frames(tmp_path: Path) -> None:
     assert clip.rate_hz == pytest.approx(RATE)
     np.testing.assert_allclose(clip.points_w, points[:-1], atol=1e-3)
     said = "4 lines that cannot be read: as missing frames (the first: line 41, column 1 (time): '' is not a number)"
-    assert said in clip.meta["assumed"]
-    assert any("gaps of up to 0.2 s are filled" in sentence for sentence in clip.meta["assumed"])
+    assert said in clip.origin.assumed
+    assert any("gaps of up to 0.2 s are filled" in sentence for sentence in clip.origin.assumed)
     clip = opened(dict.fromkeys(range(101, 141), "1,2"))  # longer than a gap that is filled
-    assert clip.meta["parts"] == [[0, 100], [140, len(points)]]
+    assert clip.origin.parts == ((0, 100), (140, len(points)))
     with pytest.raises(ClipError, match=r"line 2, column 2 \(pelvis_x\): 'lost' is not a number"):
         opened(dict.fromkeys(range(1, len(lines) - 20), "0," + ",".join(["lost"] * (len(fields) - 1))))
 

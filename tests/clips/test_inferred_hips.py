@@ -40,7 +40,7 @@ def test_shoulders_and_hips_are_where_the_animal_has_them(tmp_path: Path) -> Non
     np.testing.assert_allclose(read.toes_w, 3.0 * clip.toes_w, atol=1e-5)
     assert np.abs(read.hips_w - 3.0 * clip.hips_w).max() < 0.12  # of an animal of 1.3 m at the withers
     assert read.leg_length_m == pytest.approx(3.0 * 0.4 / 0.825, rel=0.03)
-    assert any("shoulders and hips are not in the file" in sentence for sentence in read.meta["assumed"])
+    assert any("shoulders and hips are not in the file" in sentence for sentence in read.origin.assumed)
 
 
 def test_a_mirrored_animal_without_hips_is_refused(tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def named(path: Path, names: list[str]) -> Path:
 def test_a_guess_is_said(tmp_path: Path) -> None:
     clip = read_clip(named(tmp_path / "dog.csv", SETS["AP-10K"].split(",")))
     np.testing.assert_allclose(clip.points_w, walk(2), atol=1e-6)
-    assert any("pelvis Root of tail, neck Neck, FR_hip R_Shoulder" in said for said in clip.meta["assumed"])
+    assert any("pelvis Root of tail, neck Neck, FR_hip R_Shoulder" in said for said in clip.origin.assumed)
 
 
 def test_without_a_guess_the_error_holds_a_map_to_complete(tmp_path: Path) -> None:
@@ -147,4 +147,4 @@ def test_the_vertical_axis_can_be_given_with_its_sign(tmp_path: Path) -> None:
         with pytest.raises(ClipError, match=words):
             read_clip(path, ReadOptions(up=up))
     clip = read_clip(path, ReadOptions(up="z"))
-    assert not any("is up" in said for said in clip.meta["assumed"])
+    assert not any("is up" in said for said in clip.origin.assumed)

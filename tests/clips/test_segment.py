@@ -9,7 +9,7 @@ import pytest
 
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.clips.catalogue import RECORDED, open_clip
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.segment import (
     DISCRETE,
     FOOTFALLS,
@@ -36,7 +36,7 @@ def cycles(name: str, count: int, **options: float) -> Clip:
     travel = clip.points_w[-1] - clip.points_w[0]
     step = travel[:2].mean(axis=0) * clip.n_frames / (clip.n_frames - 1)
     points = np.concatenate([clip.points_w + k * step for k in range(count)])
-    return Clip(points, clip.rate_hz, meta={"source": name})
+    return Clip(points, clip.rate_hz, origin=ClipOrigin(source=name))
 
 
 def still(seconds: float, rate_hz: float, like: Clip) -> Clip:

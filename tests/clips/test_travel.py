@@ -61,7 +61,7 @@ def test_the_way_of_built_in_gaits_is_found_again(name: str, without_heading: bo
     found = with_travel(on_the_spot(clip, without_heading=without_heading))
     assert speed(found) == pytest.approx(speed(clip), rel=0.03)  # their trunks' speed is even, whatever the feet push
     assert yaw_rate(found) == pytest.approx(yaw_rate(clip), abs=2.0)
-    (sentence,) = (said for said in found.meta["assumed"] if "recovered from the standing feet" in said)
+    (sentence,) = (said for said in found.origin.assumed if "recovered from the standing feet" in said)
     assert ("heading" in sentence) == (without_heading or heading(clip).std() < 0.01)
 
 

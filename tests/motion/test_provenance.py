@@ -42,7 +42,7 @@ STITCH = StitchRecord(
 WHOLE = Provenance(
     name="trot",
     robot="a1",
-    source={"source": "trot.txt", "frames": [3, 9], "assumed": ["one cycle"], "loop": {"LoopMode": "Wrap"}},
+    source=ClipOrigin(source="trot.txt", frames=(3, 9), assumed=("one cycle",), loop={"LoopMode": "Wrap"}),
     retarget={"scale": 0.8, "samples": 4, "bounds": [{"name": "slip", "value": None, "limit": 1, "met": False}]},
     dmp=DMP,
     stitch=STITCH,
@@ -64,11 +64,10 @@ def test_it_goes_through_json() -> None:
 
 
 def test_what_a_clip_and_retargeting_always_say_is_typed() -> None:
-    assert WHOLE.origin == ClipOrigin("trot.txt", None, (3, 9), ("one cycle",))
     assert WHOLE.retargeted == RetargetOutcome(0.8, (RetargetBound("slip", None, 1, False),))
     assert (Provenance().origin, Provenance().retargeted) == (ClipOrigin(), RetargetOutcome())
-    with pytest.raises(MotionError, match=r"got `int` - at `\$\.source\.source`"):
-        _ = Provenance(source={"source": 3}).origin
+    with pytest.raises(MotionError, match=r"got `int`.* - at `\$\.source\.source`"):
+        _ = Provenance.from_dict({"source": {"source": 3}})
 
 
 def test_modulation_names_every_dimension() -> None:
@@ -126,6 +125,5 @@ def test_only_a_stitched_motion_has_segments() -> None:
 
 
 def test_assumptions_are_sentences() -> None:
-    assert WHOLE.assumed == ["one cycle"]
-    assert Provenance().assumed == []
-    assert Provenance(source={"assumed": "x"}).assumed == ["x"]
+    assert WHOLE.assumed == ("one cycle",)
+    assert Provenance().assumed == ()

@@ -25,7 +25,7 @@ def sitting_down() -> Clip:
     s = np.clip((np.arange(FRAMES) / RATE_HZ - 0.4) / 0.5, 0.0, 1.0)
     down = s**3 * (10 - 15 * s + 6 * s**2)
     points[:, RUMP, 2] -= down[:, None] * (points[0, RUMP[1], 2] - 0.05)
-    return Clip(points_w=points, rate_hz=RATE_HZ, is_cycle=False, meta={"name": "sit"})
+    return Clip(points_w=points, rate_hz=RATE_HZ, is_cycle=False).named("sit")
 
 
 @pytest.fixture(scope="module")

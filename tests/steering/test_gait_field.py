@@ -7,7 +7,7 @@ from clips.test_segment import cycles
 from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.synthesis import gait, keypoints
 from fastmimic.reference.course import course_of
 from fastmimic.reference.regulator import motion_gains
@@ -40,7 +40,7 @@ def test_a_cycle_at_another_velocity_keeps_its_contacts(name: str, velocity: tup
 
 def test_a_gait_in_which_all_feet_never_stand_comes_to_stand() -> None:
     robot, axes = load_robot("a1"), ((0.0, 0.7), (-0.2, 0.2), (1.0, 1.0))
-    clip = keypoints(gait("trot", speed=0.7, duty=0.4), {"name": "a trot with flight"})
+    clip = keypoints(gait("trot", speed=0.7, duty=0.4), ClipOrigin("a trot with flight"))
     found = [retarget(clip, robot, velocity=np.array(v), executable=False)[0] for v in Grid(*axes).velocities()]
     assert found[0].contact.sum(axis=1).max() < 4
     config, n = RegulatorConfig(), found[0].n_samples
@@ -78,8 +78,8 @@ def test_takes_give_a_period_of_each_gait_that_repeats_well() -> None:
     bound, noted = open_clip("bound"), list[str]()
     found = gaits_of([bound, cycles("trot", 6), cycles("walk", 6)], noted.append)
     assert found[0] is bound
-    assert [clip.meta["name"] for clip in found[1:]] == ["walk", "trot"]
-    lengths = {clip.meta["name"]: clip.n_frames for clip in found[1:]}
+    assert [clip.origin.name for clip in found[1:]] == ["walk", "trot"]
+    lengths = {clip.origin.name: clip.n_frames for clip in found[1:]}
     assert lengths == {name: open_clip(name).n_frames for name in ("walk", "trot")}
     assert len(noted) == 2
     assert " is a period of a trot, " in "".join(noted)
@@ -93,10 +93,10 @@ def test_a_fast_gait_that_the_robot_cannot_do_is_left_out(
     too_much = "walk"
 
     def field(source: str, clip: Clip, robot: Robot, grid: Grid, slower: GaitField | None, *_: object) -> GaitField:
-        if clip.meta["name"] == too_much:
+        if clip.origin.name == too_much:
             raise MotionError(f"{robot.name} cannot be steered by {too_much}")
         axes = [np.array(axis) for axis in (grid.forwards, grid.sideways, grid.turning)]
-        return GaitField(clip.meta["name"], robot, *axes, np.zeros((1, 1)), np.zeros((1, 1)), slower)
+        return GaitField(clip.origin.name, robot, *axes, np.zeros((1, 1)), np.zeros((1, 1)), slower)
 
     monkeypatch.setattr("fastmimic.steering.gait_field._field", field)
     with pytest.raises(MotionError, match="by walk"):

@@ -274,9 +274,12 @@ def test_about_three_seconds_each_by_default(trot: Motion, robot: Robot) -> None
 
 
 def test_recorded_motions(data_folder: Path, robot: Robot) -> None:
-    """A trot with flight phases and a walking turn that is not symmetric."""
+    """A trot with flight phases and a walking turn that is not symmetric. What is owed to their author is kept."""
     parts = [load_motion(name, robot) for name in ("dog:trot", "dog:right-turn")]
     motion = stitch_motions(robot, parts)
+    owed = motion.provenance
+    assert (owed.licence, owed.credit) == (parts[0].provenance.licence, parts[0].provenance.credit)
+    assert "AI4Animation" in str(owed.credit)
     needs = demands(robot, motion)
     assert needs.slide_m < 4e-3
     assert needs.joint_speed <= 1.0

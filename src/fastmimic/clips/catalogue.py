@@ -9,7 +9,7 @@ from typing import Any
 from fastmimic.base.configuration import parse_pair
 from fastmimic.base.errors import ClipError, did_you_mean, naming
 from fastmimic.clips.clip import Clip
-from fastmimic.clips.data import DATASETS, RECORDED, data_folder, dataset_of, find_file
+from fastmimic.clips.data import DATASETS, RECORDED, Dataset, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
 from fastmimic.clips.formats.points import PointMap
 from fastmimic.clips.synthesis import GAITS, JUMPS, GaitSpec, generate, jump
@@ -77,7 +77,7 @@ def open_clip(
         folder: the data folder (see `data_folder`).
         cycle: whether the clip is one period of a motion that repeats; None for what its source says, or shows.
 
-    The clip has `name`, `source`, `licence` and `credit` in its `meta`. Raises `ClipError` for an unknown name (lists
+    The clip has `name`, `source`, `licence` and `credit` in its `origin`. Raises `ClipError` for an unknown name (lists
     the closest), data not fetched, an unreadable file, or an option that does not apply.
     """
     name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map, travel)
@@ -100,7 +100,7 @@ def open_parts(name_or_path: str | Path, **options: Any) -> list[tuple[int, Clip
     """Opens all parts of a take that long gaps split, each with its first frame in the file; of other clips, and of
     given frames, the whole. Options and errors as `open_clip`."""
     clip = open_clip(name_or_path, **options)
-    parts = clip.meta.get("parts")
+    parts = clip.origin.parts
     if parts is None or options.get("frames") is not None:
         return [(0, clip)]
     return [(first, open_clip(name_or_path, **options, frames=(first, end))) for first, end in parts]
@@ -121,20 +121,22 @@ def _file(path: str | Path, options: ReadOptions) -> Clip:
         raise _unknown(name)
     clip = read_clip(path, options)
     dataset = dataset_of(path)
-    if dataset is None:
-        return clip
-    return replace(clip, meta=clip.meta | {"licence": dataset.licence, "credit": dataset.credit})
+    return clip if dataset is None else _of_dataset(clip, dataset)
+
+
+def _of_dataset(clip: Clip, dataset: Dataset) -> Clip:
+    return replace(clip, origin=replace(clip.origin, licence=dataset.licence, credit=dataset.credit))
 
 
 def _recorded(name: str, options: ReadOptions, folder: str | Path | None) -> Clip:
     motion, path = RECORDED[name], _recording(name, folder)
     clip = read_clip(path, replace(options, robot=None, frames=motion.frames))
     dataset = DATASETS[motion.dataset]
-    assumed = list(clip.meta["assumed"])
+    assumed = clip.origin.assumed
     if dataset_of(path) is None:
-        assumed.append(f"{path} is not the published file (its SHA-256 differs)")
-    provenance = {"name": name, "source": motion.source, "licence": dataset.licence, "credit": dataset.credit}
-    clip = replace(clip, is_cycle=True, meta=clip.meta | provenance | {"assumed": assumed})
+        assumed = (*assumed, f"{path} is not the published file (its SHA-256 differs)")
+    origin = replace(clip.origin, name=name, source=motion.source, assumed=assumed)
+    clip = _of_dataset(replace(clip, is_cycle=True, origin=origin), dataset)
     return _cut(name, clip, options.frames)
 
 

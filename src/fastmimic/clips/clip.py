@@ -1,6 +1,7 @@
 """`Clip`: an animal's motion as points in space, and the bones between them for drawing."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -43,6 +44,38 @@ def not_in_clip(frames: tuple[int, int], n_frames: int) -> ClipError:
     return ClipError(f"{said} (0-based, end exclusive: 0:{n_frames} is all of it)")
 
 
+@dataclass(frozen=True)
+class ClipOrigin:
+    """Where a clip comes from, and how it was read.
+
+    Attributes:
+        name: of the motion that it becomes.
+        source: the file's name, or the place of a named recording.
+        format: one of `fastmimic.clips.formats.FORMATS`, or "built-in".
+        frames: (first, end) in the file of a part of it; the end is exclusive.
+        parts: (first, end) of all parts of a take that long gaps split.
+        robot: to which joint angles in the file belong.
+        loop: what the file says of its repetition, in its own words.
+        parameters: of a built-in gait, changed from its own ones.
+        scale_given: the scale, where the user gave it.
+        assumed: in reading it; sentences for the user.
+        licence, credit: of the recording; None if unknown.
+    """
+
+    name: str | None = None
+    source: str | None = None
+    format: str | None = None
+    frames: tuple[int, int] | None = None
+    parts: tuple[tuple[int, int], ...] | None = None
+    robot: str | None = None
+    loop: Mapping[str, Any] | None = None
+    parameters: Mapping[str, float] | None = None
+    scale_given: float | None = None
+    assumed: tuple[str, ...] = ()
+    licence: str | None = None
+    credit: str | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Clip:
     """Keypoints of an animal (or of another robot) in the world, z up, metres.
@@ -54,7 +87,7 @@ class Clip:
         is_cycle: whether the clip is one period; None if the source does not say.
         leg_length_m: upper plus lower leg of the source's body, for scaling; None if unknown.
         scale: factor from the source's size to the robot's if the source fixes it (1.0 for a robot's own motion).
-        meta: provenance: `source`, `format`, `assumed` (list of sentences for the user), `licence`.
+        origin: where it comes from.
         body_w: (t, k, 3) all points of the source's skeleton if it has more than the ten; only for drawing.
         skeleton: the bones between the drawn points.
     """
@@ -65,13 +98,13 @@ class Clip:
     is_cycle: bool | None = None
     leg_length_m: float | None = None
     scale: float | None = None
-    meta: dict[str, Any] = field(default_factory=dict)
+    origin: ClipOrigin = ClipOrigin()
     body_w: Array | None = None
     skeleton: Skeleton = KEYPOINTS
 
     def __repr__(self) -> str:
         n, rate = len(self.points_w), self.rate_hz
-        return f"<Clip {self.meta.get('source', 'without a source')}: {n} frames at {rate:g} Hz, {n / rate:.2f} s>"
+        return f"<Clip {self.origin.source or 'without a source'}: {n} frames at {rate:g} Hz, {n / rate:.2f} s>"
 
     def __post_init__(self) -> None:
         shape = self.points_w.shape
@@ -111,6 +144,10 @@ class Clip:
         """Toes, (t, 4, 3), legs in the common order, world frame, m."""
         return self.points_w[:, 6:10]
 
+    def named(self, name: str) -> "Clip":
+        """The clip of a motion of that name."""
+        return replace(self, origin=replace(self.origin, name=name))
+
     def cut(self, start: int, end: int) -> "Clip":
         """Frames [start, end), 0-based; raises `ClipError` if they are not in the clip."""
         if not 0 <= start < end <= self.n_frames:
@@ -121,5 +158,5 @@ class Clip:
             root_quat_wxyz=None if self.root_quat_wxyz is None else self.root_quat_wxyz[start:end],
             body_w=None if self.body_w is None else self.body_w[start:end],
             is_cycle=self.is_cycle if (start, end) == (0, self.n_frames) else None,
-            meta={**self.meta, "frames": [start, end]},
+            origin=replace(self.origin, frames=(start, end)),
         )

@@ -15,7 +15,7 @@ from fastmimic.base.conventions import FRONT, GRAVITY, LEFT
 from fastmimic.base.errors import ConfigError, unknown
 from fastmimic.base.files import packaged
 from fastmimic.base.rotations import planar_exp, quat_rotate, rotate_planar, trunk_quaternion
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, ClipOrigin
 
 RATE_HZ: Final = 120.0
 ANIMAL: Final = 1.0 / 0.825  # speeds and lifts are given at the A1's size; the animal is larger by the published scale
@@ -83,19 +83,13 @@ def generate(name: str, **changes: float | None) -> Clip:
     return keypoints(gait(name, **given), built_in(name, given))
 
 
-def built_in(name: str, parameters: dict[str, float] | None = None) -> dict[str, object]:
-    """The `meta` of a clip that is made by formula."""
-    return {
-        "name": name,
-        "source": "built in",
-        "format": "built-in",
-        "parameters": parameters or {},
-        "assumed": [],
-        "licence": "no recording: made by formula, free to use",
-    }
+def built_in(name: str, parameters: dict[str, float] | None = None) -> ClipOrigin:
+    """The origin of a clip that is made by formula."""
+    licence = "no recording: made by formula, free to use"
+    return ClipOrigin(name, "built in", "built-in", parameters=parameters or {}, licence=licence)
 
 
-def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
+def keypoints(spec: GaitSpec, origin: ClipOrigin | None = None) -> Clip:
     """One cycle of a gait as an animal's keypoints, world frame, z up."""
     n = max(8, round(spec.period * RATE_HZ))
     share = np.arange(n) / n
@@ -105,7 +99,7 @@ def keypoints(spec: GaitSpec, meta: dict[str, object] | None = None) -> Clip:
     points = [position + quat_rotate(quat, -SPINE), position + quat_rotate(quat, SPINE)]
     points += [position + quat_rotate(quat, hip) for hip in HIP]
     points += [_toe(spec, leg, share, twist) for leg in range(4)]
-    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=True, meta=dict(meta or {}))
+    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=True, origin=origin or ClipOrigin())
 
 
 def _trunk(spec: GaitSpec, share: Array, twist: Array) -> tuple[Array, Array]:
@@ -201,4 +195,4 @@ def jump(name: str) -> Clip:
         return np.column_stack([x, np.full_like(lift, y), TOE_MARKER_HEIGHT + lift])
 
     points = [trunk - SPINE, trunk + SPINE, *(trunk + hip for hip in HIP), *(toe(leg) for leg in range(4))]
-    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=False, meta=built_in(name))
+    return Clip(points_w=np.stack(points, axis=1), rate_hz=RATE_HZ, is_cycle=False, origin=built_in(name))

@@ -75,7 +75,7 @@ def with_travel(clip: Clip, travel: str = "auto") -> Clip:
     found = f"the way of the trunk{heading} ({way:.2f} m/s) is recovered from the standing feet"
     if travel != "recover":
         found += ": they run back while the trunk stays where it is (--travel as-is keeps it)"
-    return replace(moved, meta=clip.meta | {"assumed": [*clip.meta.get("assumed", []), found]})
+    return replace(moved, origin=replace(clip.origin, assumed=(*clip.origin.assumed, found)))
 
 
 def _rms(vectors: Array, weight: Array | None = None) -> float:

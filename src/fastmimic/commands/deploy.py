@@ -99,7 +99,7 @@ class Deploy:
         whole = is_whole(found.result["log_ends"])
         try:
             motion.save(folder / MOTION)
-            write_json(folder / RESULT, found.log.meta)
+            write_json(folder / RESULT, found.log.facts.as_dict())
         except OutputError as error:
             note(f"fastmimic: {error}")
             return False
@@ -179,7 +179,9 @@ class Deploy:
             dry_run=dry,
             real_time=REAL_TIME[self.real_time],
             log=log,
-            about={"driver": self.driver, "arguments": opt.recorded(self), "versions": versions()},
+            driver=self.driver,
+            arguments=opt.recorded(self),
+            versions=versions(),
         )
         follower, doing = None, ""
         if commands is not None:

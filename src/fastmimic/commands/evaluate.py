@@ -12,7 +12,7 @@ from fastmimic.base.text import NONE, number
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import put, put_json, put_table
 from fastmimic.commands.show import check_truth, figure_rows, open_log, provenance, yes_no
-from fastmimic.control.config import ControllerConfig, controller_config
+from fastmimic.control.config import controller_config
 from fastmimic.deploy.log import DeploymentLog, is_deployment_log
 from fastmimic.estimation.config import EstimatorConfig
 from fastmimic.robot import load_robot
@@ -120,13 +120,13 @@ class Evaluate:
 
         robot, log = open_log(self, self.clip, "json", "clip", "steered")
         with slow_start():
-            figures = evaluation_of(robot, log, ControllerConfig.from_dict(log.meta["config"])).as_dict()
-        figures |= {"driver": log.meta["driver"], "result": log.meta["result"]}
+            figures = evaluation_of(robot, log, log.facts.controller).as_dict()
+        figures |= {"driver": log.facts.driver, "result": log.facts.figures}
         if self.json:
             return put_json(figures)
         reference = "the simulator's ground truth" if log.truth is not None else "the robot's own estimate"
         put_figures(figures, robot.name)
-        put(f"deployed by driver '{log.meta['driver']}'; scored by {reference}")
+        put(f"deployed by driver '{log.facts.driver}'; scored by {reference}")
 
 
 def put_world(conditions: Conditions) -> None:

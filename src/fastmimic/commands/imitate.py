@@ -103,7 +103,8 @@ class Imitate(SearchRun):
         if self._is_left_as_it_is(motion, method):
             method = method_named(method).unoptimised.name
             note(f"{motion.name} is run once, so nothing is searched; --iterations N optimises it for N iterations")
-        about = {"motion": motion.name, "source": motion.provenance.source, "licence": motion.provenance.licence}
+        told = motion.provenance.as_dict()
+        about = {"motion": motion.name, "source": told.get("source"), "licence": told["licence"]}
         with self.opened(robot, motion.name, method, **about) as (folder, config):
             note_origin(robot, motion)
             for bound in motion.provenance.retargeted.bounds:
@@ -169,8 +170,8 @@ class Stitch(SearchRun):
         names = "+".join(_name_of(source) for source in sources)
         with self.opened(robot, names, self.method, motion="+".join(self.motions)) as (folder, config):
             result = self._stitch(sources, robot, folder)
-            made = result.motion.provenance
-            write_run(result, folder, config | {"source": made.source, "licence": made.licence})
+            made = result.motion.provenance.as_dict()
+            write_run(result, folder, config | {name: made[name] for name in ("source", "licence")})
         put_table(segment_rows(result), right=range(1, 8))
         return put_result(result, folder, self.iterations, video=video)
 

@@ -143,7 +143,7 @@ class Inspect:
             return robot, motion, ["format     FastMimic robot motion", *describe_motion(motion, robot)]
         executable = bool(overrides.pop("executable", True))
         clip = source.open_clip(robot, **overrides)
-        told = [*_describe_clip(clip), *(f"assumed    {sentence}" for sentence in clip.meta.get("assumed", ()))]
+        told = [*_describe_clip(clip), *(f"assumed    {sentence}" for sentence in clip.origin.assumed)]
         refused = []
         with slow_start("looking for the nearest motion that the robot can execute"):
             try:
@@ -183,15 +183,15 @@ def describe_motion(motion: Motion, robot: Robot) -> list[str]:
 
 
 def _describe_clip(clip: Clip) -> list[str]:
-    name = str(clip.meta.get("format", "unknown"))
+    name = clip.origin.format or "unknown"
     cycle = {None: "unknown", True: "yes", False: "no"}[clip.is_cycle]
     lines = [
         f"format     {FORMATS[name].about if name in FORMATS else name}",
         f"frames     {clip.n_frames} at {clip.rate_hz:g} Hz, {clip.n_frames / clip.rate_hz:.3f} s",
         f"one cycle  {cycle}",
     ]
-    if clip.meta.get("credit"):
-        lines.append(f"credit     {clip.meta['credit']}")
+    if clip.origin.credit:
+        lines.append(f"credit     {clip.origin.credit}")
     return lines
 
 

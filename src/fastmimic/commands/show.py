@@ -118,9 +118,9 @@ def note_origin(robot: Robot, motion: Motion) -> None:
 def provenance(motion: Motion) -> str:
     """One line: name, source, scale, period, licence."""
     origin, scale = motion.provenance.origin, motion.provenance.retargeted.scale
-    parts = [origin.source]
+    parts = [source := origin.source or "unknown source"]
     cut = None if origin.frames is None else "frames {}:{}".format(*origin.frames)
-    if cut is not None and not origin.source.endswith(cut):  # a named recording has them in its source
+    if cut is not None and not source.endswith(cut):  # a named recording has them in its source
         parts.append(cut)
     if origin.format is not None and origin.format in FORMATS:
         parts.append(FORMATS[origin.format].about.split(",")[0])
@@ -177,7 +177,7 @@ def open_log(command: Any, reading: opt.ClipReading, *taken: str) -> tuple[Robot
     robot = robot_of(log, command.robot)
     with slow_start():
         log = with_result(robot, log)
-    is_whole(log.meta["result"].get("log_ends"))
+    is_whole(log.facts.figures.get("log_ends"))
     return robot, log
 
 

@@ -219,7 +219,7 @@ class Excerpt:
         """The clip or motion; raises `FastMimicError` if it cannot be read or has changed since the survey."""
         piece = _open(self.source, self.frames)
         if not isinstance(piece, Motion):
-            piece = replace(piece, is_cycle=self.repeats, meta={**piece.meta, "name": self.name})
+            piece = replace(piece.named(self.name), is_cycle=self.repeats)
         if digest_of(piece) != self.digest:
             raise ClipError(f"{self.source}: has changed since it was looked through; build again")
         return piece
@@ -345,7 +345,7 @@ def _of_take(source: DatasetSource, first: int, take: Clip, confidence: float, d
 
 
 def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: Segment, *, repeats: bool) -> Excerpt:
-    whole = frames == (0, cut.n_frames) and source.frames is None and "parts" not in cut.meta
+    whole = frames == (0, cut.n_frames) and source.frames is None and cut.origin.parts is None
     return Excerpt(
         name=source.name if whole else f"{source.name}-{frames[0]}-{frames[1]}",
         source=source,
@@ -358,8 +358,8 @@ def _piece(source: DatasetSource, cut: Clip, frames: tuple[int, int], segment: S
         period_s=cut.n_frames / cut.rate_hz,
         speed_m_per_s=segment.speed_m_per_s,
         yaw_rate_rad_per_s=segment.yaw_rate_rad_per_s,
-        licence=cut.meta.get("licence") or source.licence,
-        credit=cut.meta.get("credit") or source.credit,
+        licence=cut.origin.licence or source.licence,
+        credit=cut.origin.credit or source.credit,
     )
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +17,7 @@ from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import SHORT_SPIN_S, LoopClock, StopSwitch, VirtualClock, undisturbed
 from fastmimic.deploy.driver import RobotDriver
-from fastmimic.deploy.log import PERIODS, ROW, TRUTH, DeploymentLog, LogWriter, Recorder, new_log_file
+from fastmimic.deploy.log import PERIODS, ROW, TRUTH, DeploymentLog, LogWriter, Recorder, RunFacts, new_log_file
 from fastmimic.deploy.realtime_loop import Loop, LoopOutcome
 from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
 from fastmimic.deploy.sequence import Follower, make_sequence
@@ -62,7 +62,9 @@ class DeployOptions:
     real_time: bool | None = None  # whether to request real-time scheduling and locked memory; where permitted if None
     logged_s: float = 330.0  # longest time in memory, and in the figures; of a longer run the last part
     log: Path | None = None  # new file to which the log is written while it runs
-    about: Mapping[str, Any] = field(default_factory=dict)  # what else the log is to say, JSON-serialisable
+    driver: str | None = None  # its name for the log; that of its class if None
+    arguments: dict[str, Any] = field(default_factory=dict)  # for the log, JSON-serialisable
+    versions: dict[str, str] = field(default_factory=dict)  # for the log
 
     def controller(self, motion: Motion) -> tuple[str, ControllerConfig]:
         """The method's name and the controller's parameters; raises `ConfigError` for a bad name, policy or rate."""
@@ -109,7 +111,7 @@ class Deployment:
     @property
     def result(self) -> dict[str, Any]:
         """The figures, JSON-serialisable."""
-        return self.log.meta["result"]
+        return self.log.facts.figures
 
 
 def deploy(
@@ -154,22 +156,23 @@ def deploy(
     clock = clock if clock is not None else LoopClock()
     asked = options.real_time
     real_time = not isinstance(clock, VirtualClock) if asked is None else asked
-    meta = {
-        "rate_hz": rate_hz,
-        "robot": robot.name,
-        "motion": motion.name,
-        "driver": type(driver).__name__,
-        "steered": follower.steered,
-        "method": method,
-        "config": config.as_dict(),
-        "latency_s": machine.estimator.config.latency_s,
-        "foot_force": machine.estimator.config.foot_force,
-        "limits": dataclasses.asdict(limits),
-        "torque_limit": robot.torque_limit.tolist(),
-        "joint_speed_limit": robot.joint_speed_limit.tolist(),
-        "dry_run": options.dry_run,
-        **options.about,
-    }
+    facts = RunFacts(
+        rate_hz=rate_hz,
+        robot=robot.name,
+        motion=motion.name,
+        driver=options.driver or type(driver).__name__,
+        steered=follower.steered,
+        method=method,
+        config=config.as_dict(),
+        latency_s=machine.estimator.config.latency_s,
+        foot_force=machine.estimator.config.foot_force,
+        limits=dataclasses.asdict(limits),
+        torque_limit=robot.torque_limit.tolist(),
+        joint_speed_limit=robot.joint_speed_limit.tolist(),
+        dry_run=options.dry_run,
+        arguments=options.arguments,
+        versions=options.versions,
+    )
     truth_at = getattr(driver, "truth_at", None)  # a simulated robot's states, by the number of the message
 
     def columns(rows: Records) -> dict[str, Records]:
@@ -178,7 +181,7 @@ def deploy(
     writer = None
     if options.log is not None:
         planned = round((planned_s if math.isfinite(planned_s) else options.logged_s) * rate_hz)
-        file = new_log_file(options.log, motion, meta, planned, with_truth=truth_at is not None)
+        file = new_log_file(options.log, motion, facts.as_dict(), planned, with_truth=truth_at is not None)
         writer = LogWriter(recorder, file, columns)
     with writer or nullcontext(), driver, undisturbed(real_time=real_time) as refused:
         for line in refused if asked else ():
@@ -188,14 +191,15 @@ def deploy(
         with switch if switch is not None else StopSwitch() as hand:
             outcome = Loop(driver, machine, recorder, clock, steps, reason, hand, watch, note).run(on_ready)
     rows = recorder.rows()
-    found = DeploymentLog(rows, motion, meta, columns(rows).get(TRUTH))
+    found = DeploymentLog(rows, motion, facts, columns(rows).get(TRUTH))
     if lost := recorder.periods - len(rows):
         note(f"the figures are of the last {len(rows) / rate_hz:.0f} s, without the first {lost / rate_hz:.0f} s")
-    result = meta["result"] = result_of(robot, found, config, outcome, recorder.periods)
+    result = result_of(robot, found, config, outcome, recorder.periods)
     result["foot_sensors"] = [leg for leg, used in zip(LEGS, machine.estimator.believed[0], strict=True) if used]
     if writer is not None:
         writer.end({"result": result})
         result["log_ends"] = writer.ends
+    found = found.with_result(result)
     return Deployment(outcome, found, tuple(noted.text for noted in guard.noted.values()))
 
 
@@ -217,7 +221,7 @@ def score_log(
     robot was steered. `config` is the controller's, `observation` (t,) of `OBSERVATION` the states in the log's rows,
     the estimates if None. The reference starts as the controller's did and is then synchronised to them."""
     motion, rows = log.motion, np.flatnonzero(log.rows["in_motion"])
-    if log.meta.get("steered") or not len(rows):
+    if log.facts.steered or not len(rows):
         return None
     seen = log.rows["estimate"] if observation is None else observation
     if len(seen) != len(log.rows):
@@ -248,12 +252,12 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
     """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate. Raises
     `DeploymentError` if the robot did not reach the motion."""
     scored = score_log(robot, log, config, log.truth)
-    if log.meta.get("steered"):
+    if log.facts.steered:
         raise DeploymentError("the robot was steered: there is no motion to score it against")
     if scored is None:
-        raise DeploymentError(f"the robot never came to the motion: {log.meta['result']['stopped_because']}")
+        raise DeploymentError(f"the robot never came to the motion: {log.facts.figures['stopped_because']}")
     conditions = Conditions(observe="sensors")
-    return Evaluation(log.motion, scored.rollout, str(log.meta["method"]), config, robot.name, conditions)
+    return Evaluation(log.motion, scored.rollout, log.facts.method, config, robot.name, conditions)
 
 
 def figures(scored: ScoredLog | None) -> dict[str, Any]:
@@ -320,12 +324,12 @@ def result_of(
         **{name: _microseconds(seconds) for name, seconds in times.items()},
         "packets": dataclasses.asdict(outcome.packets),
         "commands_cut": int((rows["cut"] > 0).sum()),
-        "foot_force": log.meta["foot_force"],
+        "foot_force": log.facts.foot_force,
         "log_ends": None,
-        "cycles": None if log.meta.get("steered") else float(inside.sum() / log.motion.n_samples),
+        "cycles": None if log.facts.steered else float(inside.sum() / log.motion.n_samples),
         "motion_s": float(inside.sum() / log.rate_hz),
         "way_m": float(np.hypot(*np.diff(places[:, :2], axis=0).T).sum()),
-        **(command_errors(log) if log.meta.get("steered") else {}),
+        **(command_errors(log) if log.facts.steered else {}),
         **figures(score_log(robot, log, config)),
         "reward_truth_mean": truly["reward_mean"],
         "swing_clearance_truth_m": truly["swing_clearance_m"],

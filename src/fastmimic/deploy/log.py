@@ -7,7 +7,7 @@ import io
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event, Thread
 from typing import Annotated, Any, Final, Self
@@ -20,6 +20,7 @@ from fastmimic.base.conventions import RATE_RANGE_HZ
 from fastmimic.base.errors import DeploymentError, MotionError, OutputError
 from fastmimic.base.files import read_json
 from fastmimic.base.jit import floats, integers
+from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.log_file import LogFile, read_log_file
 from fastmimic.motion.motion import Motion
 from fastmimic.robot.state import COMMAND, OBSERVATION, READING, RunLog
@@ -38,8 +39,10 @@ class _Ended(msgspec.Struct):
     log_ends: str | None = None
 
 
-class _Facts(msgspec.Struct):
-    """What readers need of a log's `meta`."""
+class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
+    """What a log says of its run. `config` is the controller's, `method` its method; `limits` are the `SafetyLimits`,
+    `torque_limit` (12,), N·m, and `joint_speed_limit` (12,), rad/s, the robot's; `arguments` and `versions` are those
+    of the command; `result` has the figures, unless the log was cut off."""
 
     robot: str
     motion: str
@@ -49,7 +52,35 @@ class _Facts(msgspec.Struct):
     config: dict[str, Any]
     latency_s: Annotated[float, msgspec.Meta(ge=0, le=1)]
     rate_hz: Annotated[float, msgspec.Meta(ge=RATE_RANGE_HZ[0], le=RATE_RANGE_HZ[1])]
-    result: _Ended | msgspec.UnsetType = msgspec.UNSET  # of a log that was cut off
+    steered: bool = False
+    dry_run: bool = False
+    limits: dict[str, Any] = {}
+    torque_limit: list[float] = []
+    joint_speed_limit: list[float] = []
+    arguments: dict[str, Any] = {}
+    versions: dict[str, str] = {}
+    result: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def controller(self) -> ControllerConfig:
+        """The controller's parameters; raises `ConfigError` for others."""
+        return ControllerConfig.from_dict(self.config)
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether there is no result."""
+        return self.result is msgspec.UNSET
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """`result`; raises `DeploymentError` without one."""
+        if isinstance(self.result, msgspec.UnsetType):
+            raise DeploymentError("the log was cut off: it has no result")
+        return self.result
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types."""
+        return dict(msgspec.to_builtins(self))
 
 
 EVERY_S: Final = 0.25  # what a kill may lose; a slow disk sets its own pace
@@ -86,17 +117,20 @@ state; command of the motors; whether they damped for lack of commands; whether 
 
 @dataclass(frozen=True, eq=False)
 class DeploymentLog:
-    """A deployment. `meta` holds `rate_hz`, `robot`, `motion`, `driver`, `method` and more; and `result`, unless the
-    log was cut off."""
+    """A deployment."""
 
     rows: Records  # (t,) of `ROW`
     motion: Motion
-    meta: dict[str, Any]  # JSON-serialisable
+    facts: RunFacts
     truth: Records | None = None  # (t,) of `OBSERVATION`, at the states used; of a simulated robot
 
     @property
     def rate_hz(self) -> float:
-        return float(self.meta["rate_hz"])
+        return self.facts.rate_hz
+
+    def with_result(self, result: dict[str, Any]) -> "DeploymentLog":
+        """The log with a run's figures."""
+        return replace(self, facts=msgspec.structs.replace(self.facts, result=result))
 
     def run_log(self) -> RunLog:
         """The part in the motion itself, to identify from; raises `DeploymentError` if the robot did not reach it."""
@@ -104,9 +138,8 @@ class DeploymentLog:
         if len(at) < 2:
             raise DeploymentError("the robot did not reach the motion, so there is nothing to identify")
         step, after = self.rows[at[:-1]], self.rows[at[1:]]
-        names = str(self.meta["robot"]), str(self.meta["motion"])
-        seen = after["reading"], step["command"], after["estimate"], step["stance"]
-        return RunLog(*names, self.rate_hz, float(self.meta["latency_s"]), *map(np.ascontiguousarray, seen))
+        about, seen = self.facts, (after["reading"], step["command"], after["estimate"], step["stance"])
+        return RunLog(about.robot, about.motion, about.rate_hz, about.latency_s, *map(np.ascontiguousarray, seen))
 
     @classmethod
     def load(cls, path: str | Path) -> "DeploymentLog":
@@ -119,20 +152,22 @@ class DeploymentLog:
             raise DeploymentError(f"{path}: not the log of a deployment, or it ends before its first period")
         try:
             motion = Motion.load(io.BytesIO(found.attachments[MOTION]))
-            msgspec.convert(found.metadata, _Facts)
+            facts = msgspec.convert(found.metadata, RunFacts)
+            if not facts.cut_off:
+                msgspec.convert(facts.result, _Ended)
         except msgspec.ValidationError as error:
             raise DeploymentError(f"{path}: the log is damaged: {error}") from None
         except (KeyError, MotionError):
             raise DeploymentError(f"{path}: the log is damaged: it has no readable {MOTION}") from None
-        return cls(rows, motion, found.metadata, truth if len(truth) == len(rows) else None)
+        return cls(rows, motion, facts, truth if len(truth) == len(rows) else None)
 
 
-def new_log_file(path: Path, motion: Motion, meta: Mapping[str, Any], rows: int, *, with_truth: bool) -> LogFile:
+def new_log_file(path: Path, motion: Motion, facts: Mapping[str, Any], rows: int, *, with_truth: bool) -> LogFile:
     """A log to be written, of about so many rows; raises `OutputError` if it cannot be, or the disk has no room."""
     content = io.BytesIO()
     motion.save(content)
     kinds = {PERIODS: ROW, **({TRUTH: OBSERVATION} if with_truth else {})}
-    return LogFile(path, kinds, rows, {MOTION: content.getvalue()}, meta)
+    return LogFile(path, kinds, rows, {MOTION: content.getvalue()}, facts)
 
 
 def log_path(path: str | Path) -> Path:

@@ -1,6 +1,5 @@
 """A deployment's figures and commands in words; those of a log that was cut off."""
 
-import dataclasses
 from typing import Any, Final
 
 import numpy as np
@@ -9,7 +8,6 @@ from fastmimic.base.conventions import JOINT_NAMES, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import packaged
 from fastmimic.base.text import NONE, number
-from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.deployment import result_of
 from fastmimic.deploy.driver import Packets
 from fastmimic.deploy.log import DeploymentLog
@@ -25,8 +23,8 @@ _TIMES: Final = packaged("fastmimic.deploy", "times.json", dict[str, str])
 
 def robot_of(log: DeploymentLog, given: str | None = None) -> Robot:
     """The robot of a log, or another description of it by name or MJCF file; raises `FastMimicError`."""
-    name = str(log.meta["robot"])
-    chosen = given or log.meta.get("arguments", {}).get("robot") or name
+    name = log.facts.robot
+    chosen = given or log.facts.arguments.get("robot") or name
     if chosen == name and name not in ROBOT_NAMES:
         raise ConfigError(f"the log's robot '{name}' is not built in; give its MJCF by --robot FILE.xml")
     return load_robot(chosen)
@@ -34,16 +32,16 @@ def robot_of(log: DeploymentLog, given: str | None = None) -> Robot:
 
 def with_result(robot: Robot, log: DeploymentLog) -> DeploymentLog:
     """A log with a result: of one that was cut off, what its rows tell."""
-    if "result" in log.meta:
+    if not log.facts.cut_off:
         return log
     last = log.rows[-1]
     counts = (int(last[name]) for name in ("received", "lost", "rejected", "foreign"))
     packets = Packets(int(log.rows["sent"].sum()), *counts)
     phase = list(DeploymentPhase)[last["phase"]]
     outcome = LoopOutcome(StopReason.UNKNOWN, CUT_OFF, phase, int(last["missed"]), int(last["skipped"]), packets)
-    result = result_of(robot, log, ControllerConfig.from_dict(log.meta["config"]), outcome, len(log.rows))
+    result = result_of(robot, log, log.facts.controller, outcome, len(log.rows))
     result["log_ends"] = f"at {last['time_s']:.1f} s: {CUT_OFF}"
-    return dataclasses.replace(log, meta=log.meta | {"result": result})
+    return log.with_result(result)
 
 
 def summary_rows(result: dict[str, Any]) -> list[tuple[str, str]]:
@@ -99,7 +97,7 @@ def command_table(log: DeploymentLog) -> list[str]:
         command, reading = part["command"], part["reading"]
         lines.append(f"{phase.text}, {len(part) / log.rate_hz:.1f} s")
         lines.append("              angle, rad        is at   speed   stiffness  damping   torque, N·m")
-        torque = np.array(log.meta["torque_limit"])
+        torque = log.facts.torque_limit
         for j, name in enumerate(JOINT_NAMES):
             q = command["joint_pos"][:, j]
             most = float(np.abs(command["torque"][:, j]).max())

@@ -183,7 +183,7 @@ class _Training:
         provenance = self.learner.episodes.motion.provenance
         return {
             "library": "rsl-rl",
-            "source": provenance.source,
+            "source": provenance.as_dict().get("source"),
             "licence": provenance.licence,
             "versions": {**versions(), **{name: metadata.version(name) for name in ("torch", "rsl-rl-lib")}},
             "training": {

@@ -10,6 +10,7 @@ import numpy as np
 from fastmimic.base.arrays import Array, Indices
 from fastmimic.base.errors import MotionError
 from fastmimic.base.text import number
+from fastmimic.clips.clip import ClipOrigin
 
 _Kind = TypeVar("_Kind")
 
@@ -92,15 +93,6 @@ class MadeWith:
     config: str | None
 
 
-class ClipOrigin(msgspec.Struct, frozen=True):
-    """What every clip's description may say; formats add keys of their own."""
-
-    source: str = "unknown source"
-    format: str | None = None  # one of `fastmimic.clips.formats.FORMATS`
-    frames: tuple[int, int] | None = None  # start and end (exclusive) of the part of a file
-    assumed: str | tuple[str, ...] = ()  # in reading it, as sentences
-
-
 @dataclass(frozen=True)
 class RetargetBound:
     """A bound within which a motion counts as the animal's, and why it is not kept; `value` is None if unknown."""
@@ -127,13 +119,13 @@ class RetargetOutcome(msgspec.Struct, frozen=True):
 class Provenance:
     """Where a motion comes from and how it was made.
 
-    `source` is the clip's own description (`Clip.meta`), `retarget` a `RetargetReport.as_dict`; see `origin` and
-    `retargeted`. The end of a motion without a cycle is held for `held_s`. `extra` keeps the keys of other programs.
+    `source` is the clip's own, without what stands here; `retarget` is a `RetargetReport.as_dict`: see `retargeted`.
+    The end of a motion without a cycle is held for `held_s`. `extra` keeps the keys of other programs.
     """
 
     name: str = "motion"
     robot: str | None = None
-    source: dict[str, Any] | None = None
+    source: ClipOrigin | None = None
     licence: str | None = None
     credit: str | None = None
     retarget: dict[str, Any] | None = None
@@ -154,13 +146,13 @@ class Provenance:
         own = _typed(found, dict[str, Any], "$")
         extra = {key: own.pop(key) for key in own.keys() - ({f.name for f in fields(cls)} - {"extra"})}
         made = _typed(own | {"extra": extra}, cls, "$")
-        _ = made.origin, made.retargeted
+        _ = made.retargeted
         return made
 
     @property
     def origin(self) -> ClipOrigin:
-        """What is known of the clip."""
-        return _typed(self.source or {}, ClipOrigin, "$.source")
+        """`source`, or one that says nothing."""
+        return self.source or ClipOrigin()
 
     @property
     def retargeted(self) -> RetargetOutcome:
@@ -168,10 +160,9 @@ class Provenance:
         return _typed(self.retarget or {}, RetargetOutcome, "$.retarget")
 
     @property
-    def assumed(self) -> list[str]:
+    def assumed(self) -> tuple[str, ...]:
         """Assumptions made in reading the clip, as sentences."""
-        found = self.origin.assumed
-        return [found] if isinstance(found, str) else list(found)
+        return self.origin.assumed
 
     @property
     def stitched(self) -> StitchRecord:

@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
+from fastmimic.clips.clip import ClipOrigin
 from fastmimic.clips.synthesis import GaitSpec, keypoints
 from fastmimic.motion.motion import Motion
 from fastmimic.retargeting.retarget import retarget
@@ -22,7 +23,7 @@ _PATH_ROWS: Final = 33
 
 def standing(robot: Robot) -> Motion:
     """A standing animal, retargeted like any other motion."""
-    return retarget(keypoints(_STILL, {"name": STAND}), robot)[0]
+    return retarget(keypoints(_STILL, ClipOrigin(STAND)), robot)[0]
 
 
 def rising_path(robot: Robot, stand: Array) -> tuple[Array, float]:

@@ -149,8 +149,8 @@ def deployment_figure(log: DeploymentLog, title: str) -> Figure:
     panels = {
         "height of the base, m": (heights, None),
         "tilt, rad: at most {} from the vertical": ([(tilt, AFTER, "")], None),
-        "torque as measured, share of the limit: at most {}": (_share(reading["torque"], log.meta["torque_limit"]), 1),
-        "joint speed, share of the limit: at most {}": (_share(reading["joint_vel"], log.meta["joint_speed_limit"]), 1),
+        "torque as measured, share of the limit: at most {}": (_share(reading["torque"], log.facts.torque_limit), 1),
+        "joint speed, share of the limit: at most {}": (_share(reading["joint_vel"], log.facts.joint_speed_limit), 1),
         "error of the period, ms: at most {}": ([(period, AFTER, "")], None),
         "age of the state when it was used, ms: at most {}": ([(1e3 * rows["age_s"], AFTER, "")], None),
     }

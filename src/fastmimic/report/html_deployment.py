@@ -17,9 +17,9 @@ def deployment_page(path: Path) -> HtmlReport:
     try:
         try:
             log = DeploymentLog.load(path)
-            if "result" not in log.meta:
+            if log.facts.cut_off:
                 log = with_result(robot_of(log), log)
-            about = log.meta
+            about = log.facts.as_dict()
             pictures.append(Picture.of(deployment_figure(log, f"{about['motion']} on {about['robot']}"), "log"))
         except DeploymentError as error:
             if not (path / RESULT).is_file():

@@ -80,10 +80,11 @@ def retarget(
     work.fit()
     report = make_report(work)
     provenance = Provenance(
-        name=str(clip.meta.get("name", "motion")),
+        name=clip.origin.name or "motion",
         robot=robot.name,
-        source={k: v for k, v in clip.meta.items() if k not in ("name", "licence")},
-        licence=clip.meta.get("licence"),
+        source=replace(clip.origin, name=None, licence=None, credit=None),
+        licence=clip.origin.licence,
+        credit=clip.origin.credit,
         retarget=plain(report),
         held_s=work.held / clip.rate_hz if work.held else None,
     )

@@ -86,7 +86,7 @@ def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
     if isinstance(source, Motion):
         return MotionSource(source.name, motion=source)
     if isinstance(source, Clip):
-        return MotionSource(str(source.meta.get("name", "clip")), clip=source)
+        return MotionSource(source.origin.name or "clip", clip=source)
     name = str(source)
     if not name.strip():
         raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")

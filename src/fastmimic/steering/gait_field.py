@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, MotionError
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.segment import find_segments
 from fastmimic.clips.synthesis import GAITS, keypoints
 from fastmimic.episode.loop import share_of_falls
@@ -177,10 +177,10 @@ def gait_field(
     are cores if None; a script that asks for several needs `if __name__ == "__main__":`. Raises `MotionError` if there
     is no executable motion near another gait, `ClipError` for a clip that does not repeat."""
     robot = load_robot(source)
-    clips = clips or [keypoints(gait, {"name": name}) for name, gait in _BUILT_IN.items()]
+    clips = clips or [keypoints(gait, ClipOrigin(name)) for name, gait in _BUILT_IN.items()]
     for clip in clips:
         if not is_one_cycle(clip):
-            name = clip.meta.get("name", "the clip")
+            name = clip.origin.name or "the clip"
             raise ClipError(f"{name} is not one period of a gait; 'fastmimic segment' finds those of a recording")
     size, found, before = length_ratio(robot), None, clips[0]
     speeds = [_speed(clip, robot) / size for clip in clips]
@@ -213,10 +213,10 @@ def gaits_of(clips: Sequence[Clip], note: Callable[[str], None] = lambda line: N
     for segment, take in sorted(best.values(), key=lambda each: each[0].speed_m_per_s):
         if segment.confidence >= min(_REPEATS, periods[-1][0].confidence):
             first, end = segment.cycle or (0, 0)
-            name = f"{take.meta.get('name', 'the clip')}[{first}:{end}]"
+            name = f"{take.origin.name or 'the clip'}[{first}:{end}]"
             note(f"{name} is a period of a {segment.footfall}, {segment.speed_m_per_s:.2f} m/s")
             cut = dataclasses.replace(take.cut(first, end), is_cycle=True)
-            found.append(dataclasses.replace(cut, meta={**cut.meta, "name": segment.footfall}))
+            found.append(cut.named(segment.footfall or segment.gait))
     return found or takes
 
 
@@ -246,7 +246,7 @@ def _field(
         known.keep(found, packaged=False)  # it is large, and made of what is
     rows, gains = (found[name].view(kind)[..., 0] for name, kind in (("rows", COURSE), ("gains", GAINS)))
     axes = [np.array(axis) for axis in (grid.forwards, grid.sideways, grid.turning)]
-    return GaitField(str(clip.meta.get("name", "gait")), robot, axes[0], axes[1], axes[2], rows, gains, slower)
+    return GaitField(clip.origin.name or "gait", robot, axes[0], axes[1], axes[2], rows, gains, slower)
 
 
 def _made(
@@ -325,7 +325,7 @@ def motion_at(robot: Robot, clip: Clip, wanted: Velocity) -> Motion:
         if motion is not None:
             return motion
     at = "{:g} m/s, {:g} m/s to the left, {:g} rad/s".format(*wanted)
-    raise MotionError(f"{robot.name} cannot be steered by {clip.meta.get('name', 'this clip')}: no motion at {at}")
+    raise MotionError(f"{robot.name} cannot be steered by {clip.origin.name or 'this clip'}: no motion at {at}")
 
 
 def _executable(robot: Robot, animal: Motion) -> Motion | None:

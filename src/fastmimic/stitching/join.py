@@ -16,6 +16,7 @@ import numpy as np
 from fastmimic.base.arrays import Array, Flags
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_continuous, rotate_planar, trunk_quaternion, turned_about_z, yaw_from_quat
+from fastmimic.clips.clip import ClipOrigin
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance, Span, StitchedSegment, StitchRecord
 from fastmimic.retargeting.config import RetargetConfig
@@ -69,6 +70,7 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
     layout = Layout((layout.segments[0], *rebuilt), layout.n)
     _check_room(layout)
     licences = sorted({m.provenance.licence for m in motions if m.provenance.licence})
+    credits = sorted({m.provenance.credit for m in motions if m.provenance.credit})
     assumed = dict.fromkeys(a for m in motions for a in m.provenance.assumed)
     return Motion(
         rate_hz=rate,
@@ -78,8 +80,9 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
         provenance=Provenance(
             name="+".join(m.name for m in motions),
             robot=robot.name,
-            source={"source": "stitched", "assumed": list(assumed)},
+            source=ClipOrigin(source="stitched", assumed=tuple(assumed)),
             licence="; ".join(licences) or None,
+            credit="; ".join(credits) or None,
             stitch=StitchRecord(layout.segments, _cycle_starts(layout, parts), tuple(m for _, m in transitions)),
         ),
         parts=tuple(parts),

@@ -60,7 +60,7 @@ def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
     """A deployment from standing up to its end: by the true states if they are known, else from the moment at which the
     robot knew its place. Before and after the motion itself its reference stands still, and there is no reward. Raises
     `DeploymentError` if it was never known where the robot was."""
-    config = ControllerConfig.from_dict(log.meta["config"])
+    config = log.facts.controller
     seen = log.rows["estimate"] if log.truth is None else log.truth
     known = seen["root_quat"].any(axis=1)
     if log.truth is None:
@@ -73,14 +73,14 @@ def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
     yaw = yaw_from_quat(seen["root_quat"])
     take = Take(
         robot,
-        f"deployed by driver {log.meta['driver']}",
+        f"deployed by driver {log.facts.driver}",
         log.rate_hz,
         poses_of(seen),
         rows["stance"],
         np.zeros(len(at), np.int64),
         np.zeros(1, np.int64),
         None,
-        caption=f"stopped by {log.meta['result']['stopped_by']}, {'estimate' if log.truth is None else 'ground truth'}",
+        caption=f"stopped by {log.facts.figures['stopped_by']}, {'estimate' if log.truth is None else 'ground truth'}",
         measured=force[..., 2] > config.release_force(robot),
         stance=rows["stance"],
         force=force,

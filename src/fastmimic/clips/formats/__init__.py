@@ -40,7 +40,7 @@ def detect_format(path: str | Path) -> str:
 
 
 def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
-    """Reads a clip in any of `FORMATS`; `clip.meta` holds its `format` and what was `assumed`. `Motion.load` reads a
+    """Reads a clip in any of `FORMATS`; `clip.origin` holds its `format` and what was `assumed`. `Motion.load` reads a
     FastMimic `.npz`. Raises `ClipError` for an unreadable file, or an option that does not apply to its format."""
     options = options if options is not None else ReadOptions()
     with naming(path, ClipError):
@@ -53,18 +53,18 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
         content = Content.of(path)
         form = format_of(content)
         clip = form.read(content, options)
-        meta: dict[str, Any] = {"name": Path(path).stem, "source": Path(path).name, "format": form.name}
-        clip = replace(clip, meta={"licence": None, "assumed": []} | meta | clip.meta)
+        origin = replace(clip.origin, name=Path(path).stem, source=Path(path).name, format=form.name)
+        clip = replace(clip, origin=origin)
         clip = with_travel(clip, options.travel or "auto")
         clip = clip if options.scale is None else with_scale(clip, options.scale)
         if options.frames is None:
             return clip
-        start = clip.meta.get("frames", [0])[0]  # a clip may be a part of its file
+        start = (clip.origin.frames or (0, 0))[0]  # a clip may be a part of its file
         cut = clip.cut(options.frames[0] - start, options.frames[1] - start)
-        return replace(cut, meta=cut.meta | {"frames": list(options.frames)})
+        return replace(cut, origin=replace(cut.origin, frames=options.frames))
 
 
 def with_scale(clip: Clip, scale: float) -> Clip:
     """The clip with a given positive factor from its size to the robot's; raises `ClipError`."""
     check_positive(scale, "the scale", ClipError, f"{scale:g}")
-    return replace(clip, scale=float(scale), meta=clip.meta | {"scale_given": float(scale)})
+    return replace(clip, scale=float(scale), origin=replace(clip.origin, scale_given=float(scale)))

@@ -17,7 +17,7 @@ from fastmimic.base.conventions import JOINT_NAMES, LARGEST, LEGS
 from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.rotations import quat_rotate
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.formats.format import Content
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import Table, check_frames, check_rate, read_table, to_array
@@ -70,7 +70,7 @@ def _clip_of(motion: Array, rate_hz: float, robot: Robot | None, notes: list[str
         root_quat_wxyz=quat,
         leg_length_m=robot.leg_length,
         scale=1.0,
-        meta={"assumed": [*notes, f"joint angles are those of the {robot.name}"], "robot": robot.name},
+        origin=ClipOrigin(assumed=(*notes, f"joint angles are those of the {robot.name}"), robot=robot.name),
     )
 
 

@@ -23,7 +23,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import FRONT, JOINT_NAMES, LARGEST, LEFT
 from fastmimic.base.errors import ClipError, check_positive, did_you_mean
 from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate, quat_rotate_inverse, rotate_planar
-from fastmimic.clips.clip import Clip
+from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.formats.points import robot_points, unit_wxyz_from_xyzw
 from fastmimic.clips.formats.text_table import check_frames, check_rate
 from fastmimic.robot.robot import ROBOT_NAMES, Robot, load_robot
@@ -31,7 +31,7 @@ from fastmimic.robot.robot import ROBOT_NAMES, Robot, load_robot
 FRAME_NAMES: Final = (*(f"root {axis}" for axis in "xyz"), *(f"root quaternion {a}" for a in "xyzw"), *JOINT_NAMES)
 LOOP_MODES: Final = ("Wrap", "Clamp")
 _CLOSED_RAD: Final = 0.01
-_LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")  # kept in `meta`
+_LOOP_KEYS: Final = ("LoopMode", "EnableCycleOffsetPosition", "EnableCycleOffsetRotation")  # kept in `ClipOrigin.loop`
 _ROBOT_KEY: Final = "Robot"  # in files of `fastmimic.motion.export`: the robot of the joints, in place of the Laikago
 
 # The Laikago's model, m. Rows are FR, FL, RR, RL.
@@ -86,7 +86,7 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
         assumed.append("joint angles are the Laikago's, retargeted through its foot positions")
         quat = quat_multiply(quat_file, quat_conjugate(_MODEL_TO_BODY_WXYZ))
         points = robot_points(frames[:, :3], quat, _ABDUCTION_ORIGIN_B, laikago_feet(joints))
-    said = {key: document[key] for key in _LOOP_KEYS if key in document}
+    said: dict[str, Any] = {key: document[key] for key in _LOOP_KEYS if key in document}
     return Clip(
         points_w=points,
         rate_hz=rate,
@@ -94,7 +94,7 @@ def parse(text: str, *, robot: Robot | None = None, fps: float | None = None) ->
         is_cycle=True if loop == "Wrap" else False if loop == "Clamp" else None,
         leg_length_m=LEG_LENGTH_M if own is None else own.leg_length,
         scale=None if of is None else 1.0,
-        meta=({} if of is None else {"robot": of}) | {"assumed": assumed, "loop": said},
+        origin=ClipOrigin(robot=of, loop=said, assumed=tuple(assumed)),
     )
 
 

@@ -118,7 +118,7 @@ class Format:
     the position in the file. `takes` are those of `ReadOptions` that `parse` has parameters for: "fps", "up",
     "point_map", "robot", "frames" (a format whose takes may have gaps: to choose the part that is cut)."""
 
-    name: str  # also in `clip.meta["format"]`
+    name: str  # also in `clip.origin.format`
     about: str  # one line for users
     suffixes: tuple[str, ...]  # of file names; only for listing folders
     detect: Callable[[Content], bool]  # whether a file is of this format

@@ -16,7 +16,7 @@ from fastmimic.base.errors import ClipError, did_you_mean
 from fastmimic.base.files import read_json
 from fastmimic.base.machine import optional
 from fastmimic.base.rotations import quat_continuous, quat_rotate, rotate_planar
-from fastmimic.clips.clip import POINT_NAMES, Clip, Skeleton
+from fastmimic.clips.clip import POINT_NAMES, Clip, ClipOrigin, Skeleton
 from fastmimic.clips.formats.gaps import Part, bridged, fill_gaps, part_for
 from fastmimic.clips.formats.point_names import BUILT_IN, HIP_NAMES, UNKNOWN, PointMap, guess
 from fastmimic.clips.formats.text_table import check_rate
@@ -265,7 +265,7 @@ class Tracks:
 
     def clip(self, *, fps: float | None, up: str | None, point_map: PointMap | None, frames: Part | None) -> Clip:
         """The clip; the options are as in `ReadOptions`. Short gaps (NaN, or too low a confidence) are filled; longer
-        ones cut the take: the clip is the part with `frames`, or the longest, and `meta["parts"]` lists all. Raises
+        ones cut the take: the clip is the part with `frames`, or the longest, and `origin.parts` lists all. Raises
         `ClipError`: no possible rate, unknown points, frames that hold a gap, or no upright, right-handed animal."""
         rate_hz = self._rate() if fps is None else float(fps)
         chosen, assumed = choose(self.names, point_map)
@@ -292,10 +292,10 @@ class Tracks:
             seen = points
         height = float(np.mean(seen[:, 2:6, 2] - seen[:, 6:10, 2]))
         notes.append(f"coordinates are in {axes.unit}: hips {height:.2f} m above the toes on average")
-        meta: dict[str, Any] = {"assumed": notes + left_out}
+        origin = ClipOrigin(assumed=(*notes, *left_out))
         if filled.parts != [(0, n)]:
-            meta |= {"frames": [first, end], "parts": [list(part) for part in filled.parts]}
-        clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, meta=meta)
+            origin = replace(origin, frames=(first, end), parts=tuple(filled.parts))
+        clip = Clip(points_w=points, rate_hz=rate_hz, leg_length_m=legs, origin=origin)
         if self.skeleton is None:
             return clip
         drawn = axes.to_world(bridged(self.positions))[first:end]
