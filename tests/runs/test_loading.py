@@ -10,8 +10,10 @@ import pytest
 from control.motions import gait
 from fastmimic.base.errors import ConfigError, FastMimicError, MotionError, RobotError
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.motion.motion import Motion
+from fastmimic.clips.clip import Clip
+from fastmimic.motion.motion import ARRAYS, Motion
 from fastmimic.robot import Robot
+from fastmimic.runs import loading
 from fastmimic.runs.loading import find_motion, load_motion
 
 
@@ -49,6 +51,22 @@ class TestLoadMotion:
         assert load_motion(clip, robot, cycle=False).cycle is None
         with pytest.raises(ConfigError, match=r"speed: .* is already read"):
             load_motion(clip, robot, speed=0.6)
+
+    def test_a_clip_is_retargeted_once(self, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def refuse(clip: Clip, *_: object) -> None:
+            raise LookupError(clip.origin.parameters)
+
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        made = load_motion("trot", robot, speed=0.83)
+        monkeypatch.setattr(loading, "_retargeted", refuse)
+        kept = load_motion("trot", robot, speed=0.83)
+        assert kept.provenance == made.provenance
+        for one, other in ((made, kept), (made.animal, kept.animal)):
+            for name in (*ARRAYS, "cycle"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        for changed in ({"speed": 0.84}, {"speed": 0.83, "executable": False}, {"speed": 0.83, "scale": 0.7}):
+            with pytest.raises(LookupError):
+                load_motion("trot", robot, **changed)  # type: ignore[arg-type]
 
     def test_overrides_do_not_apply_to_a_motion(self, motion: Motion, robot: Robot) -> None:
         with pytest.raises(ConfigError, match="scale, speed cannot be applied to 'synthetic'"):

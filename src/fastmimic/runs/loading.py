@@ -1,9 +1,12 @@
 """Loads a motion from a name, a clip, a robot motion, or the folder of a run."""
 
+import io
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.files import read_json
@@ -13,6 +16,7 @@ from fastmimic.clips.formats.format import is_robot_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.runs.work_folder import CONFIG, MOTION
+from fastmimic.trajectory.solved import Remembered
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.retargeting.report import RetargetReport
@@ -63,21 +67,39 @@ class MotionSource:
 
     def retarget(self, robot: Robot, *, executable: bool = True, **overrides: Any) -> "tuple[Motion, RetargetReport]":
         """The clip's motion for a robot, and what changed; raises as `open_clip` and `retarget` do."""
-        from fastmimic.episode.loop import share_of_falls  # loads the compiler
-        from fastmimic.retargeting.retarget import retarget
-
-        return retarget(self.open_clip(robot, **overrides), robot, executable=executable, falls=share_of_falls)
+        return _retargeted(self.open_clip(robot, **overrides), robot, executable)
 
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""
         given = {k: v for k, v in overrides.items() if v is not None}
         if self.motion is None:
-            return self.retarget(robot, **given)[0]
+            executable = given.pop("executable", True)
+            return _remembered(self.open_clip(robot, **given), robot, executable)
         if given:
             said = f"{', '.join(sorted(given))} cannot be applied to '{self.motion.name}'"
             raise ConfigError(f"{said}: it is already a robot motion")
         self.motion.check_robot(robot.name)
         return self.motion
+
+
+def _retargeted(clip: Clip, robot: Robot, executable: bool) -> "tuple[Motion, RetargetReport]":
+    from fastmimic.episode.loop import share_of_falls  # loads the compiler
+    from fastmimic.retargeting.retarget import retarget
+
+    return retarget(clip, robot, executable=executable, falls=share_of_falls)
+
+
+def _remembered(clip: Clip, robot: Robot, executable: bool) -> Motion:
+    """The motion of a clip, retargeted once and then kept in the user's cache folder."""
+    about = (clip.origin, clip.rate_hz, clip.is_cycle, clip.leg_length_m, clip.scale, executable, robot.said)
+    quat = np.zeros(0) if clip.root_quat_wxyz is None else clip.root_quat_wxyz
+    known = Remembered(repr(about), [clip.points_w, quat], outcome=True)
+    if (found := known.read()) is not None:
+        return Motion.load(io.BytesIO(found["motion"].tobytes()))
+    motion, content = _retargeted(clip, robot, executable)[0], io.BytesIO()
+    motion.save(content)
+    known.keep({"motion": np.frombuffer(content.getvalue(), np.uint8)}, packaged=False)
+    return motion
 
 
 def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
