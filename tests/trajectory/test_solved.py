@@ -1,5 +1,6 @@
 """What was solved before: the built-in motions come solved; an answer is kept for its question alone."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from fastmimic.clips.synthesis import GAITS, JUMPS
 from fastmimic.robot import load_robot
 from fastmimic.runs.loading import find_motion
+from fastmimic.trajectory import solved
 from fastmimic.trajectory.solved import Remembered
 
 
@@ -49,3 +51,13 @@ def test_an_answer_is_kept_for_its_question(empty_cache: Path) -> None:
     (file,) = empty_cache.glob("*.npz")
     file.write_bytes(b"damaged")
     assert question.read() is None
+
+
+def test_the_oldest_make_room(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    questions = [Remembered(name, [np.zeros(3)]) for name in "abc"]
+    for second, question in enumerate(questions):
+        question.keep({"answer": np.zeros(100)})
+        newest = max(empty_cache.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+        os.utime(newest, (second, second))
+        monkeypatch.setattr(solved, "MOST_BYTES", 2.5 * newest.stat().st_size)
+    assert [question.read() is None for question in questions] == [True, False, False]

@@ -15,8 +15,8 @@ from fastmimic.base.arrays import Array, fingerprint
 from fastmimic.base.errors import FastMimicError
 from fastmimic.base.files import read_arrays, replace_file, user_cache
 
-MOST: Final = 1000
-"""Files that are kept, a solution's of about 20 kB, a robot's functions of 1 MB; the oldest go."""
+MOST_BYTES: Final = 500_000_000
+"""Of what is kept, the oldest goes: a solution has about 20 kB, a robot's functions and ten seconds of motion 1 MB."""
 PACKAGED = Path(__file__).with_name("solutions.npz")
 _NEAR: Final = 1e-6
 """Most that a problem's probe differs from the package's: another machine's numbers differ in the last digits."""
@@ -59,7 +59,9 @@ class Remembered:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             replace_file(folder / f"{self._key}.npz", lambda stream: np.savez_compressed(stream, **answer))  # type: ignore[arg-type]
-            for path in sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime)[:-MOST]:
+            files = sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+            room = np.cumsum([path.stat().st_size for path in files])
+            for path in files[int(np.searchsorted(room, MOST_BYTES, "right")) :]:
                 path.unlink(missing_ok=True)
         except OSError:
             pass
