@@ -33,11 +33,11 @@ SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipp
 def build_model(robot: Robot, ground: Terrain | None = None, *, ideal: bool = False) -> mujoco.MjModel:
     """The robot on a floor (`ground`; None for flat), with motors that take stiffness and damping, and foot sensors.
 
-    The floor collides with the robot and, unless `ideal`, thighs, calves and feet with those of other legs. Feet are
-    hard points with the file's sliding friction. Two other contact properties of the file are left out, as a controller
-    cannot count on such feet: resistance to rolling (in one elliptic cone, a foot that rolls at a calf's rate has
-    little friction left against slipping) and softness (feet sink by up to their radius). Geoms of the last link that
-    would touch the ground before a standing foot do not collide.
+    The floor collides with the robot and, unless `ideal`, thighs, calves and feet with those of other legs. Feet
+    have the file's sliding friction and MuJoCo's usual stiffness: a loaded one sinks in by up to 2 cm. Left out is what
+    a controller cannot count on: resistance to rolling (in one elliptic cone, a foot that rolls at a calf's rate has
+    little friction left against slipping) and more softness. Geoms of the last link that would touch the ground before
+    a standing foot do not collide.
     """
     warn_by_log()
     spec, plain = robot.spec(), mujoco.MjSpec().default.geom
