@@ -12,7 +12,7 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.errors import OutputError
 from fastmimic.experiments.comparison_run import RUNS, Row, finished_row
 from fastmimic.experiments.measurement import NONE, Summary, spread, summaries
-from fastmimic.imitation.methods import RL, method_named
+from fastmimic.imitation.methods import METHODS, RL
 from fastmimic.optimize.cma_es import Checkpoint
 from fastmimic.runs.work_folder import CHECKPOINT
 
@@ -133,10 +133,10 @@ def search_courses(comparison: Path, method: str, motions: Iterable[str]) -> lis
         row = finished_row(folder) if folder.is_dir() else None
         if row is None or row["method"] != method or row["variant"] or row["motion"] not in wanted:
             continue
-        evaluated_s = row["evaluation_s"] * (1 + method_named(method).optimises + row["perturbed_episodes"])
+        evaluated_s = row["evaluation_s"] * (1 + METHODS[method].optimises + row["perturbed_episodes"])
         row["simulated_s"] -= evaluated_s  # what the search took, without the evaluation of its result
         none = np.zeros(0)
-        if not method_named(method).optimises:
+        if not METHODS[method].optimises:
             row["simulated_s"] = 0.0
             found.append(Course(row, none, none, none))
             continue

@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fastmimic.base.arrays import Array
-from fastmimic.imitation.methods import RL, method_named
+from fastmimic.imitation.methods import METHODS, RL
 from fastmimic.render.figure_style import INK, MUTED, Line, new_figure, tidy
 
-_COLORS: Final = {name: method_named(name).color for name in ("rl", "mbc-dmp", "mbc")}
+_COLORS: Final = {name: METHODS[name].color for name in ("rl", "mbc-dmp", "mbc")}
 _LABELS: Final = {
-    "rl": f"{method_named(RL).label}, one policy a motion",
-    "mbc-dmp": f"{method_named('mbc-dmp').label}, best candidate so far",
-    "mbc": f"{method_named('mbc').label}, nothing optimised",
+    "rl": f"{METHODS[RL].label}, one policy a motion",
+    "mbc-dmp": f"{METHODS['mbc-dmp'].label}, best candidate so far",
+    "mbc": f"{METHODS['mbc'].label}, nothing optimised",
 }
 _MOTIONS: Final[tuple[tuple[Any, str], ...]] = (  # dash pattern and marker
     ("solid", "o"),

@@ -21,7 +21,7 @@ from results import CLAIMED, DURATION_S, PAGE, REPORTED
 
 import fastmimic as fm
 from fastmimic.base.files import replace_file
-from fastmimic.imitation.methods import method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import MOST_ITERATIONS, CmaSettings, optimize
 from fastmimic.optimize.problem import Objective
@@ -34,7 +34,7 @@ EPISODES = 16
 
 def measured(motion: Motion, robot: Robot, config: str) -> dict[str, Any]:
     """One row: the motion as it is, after the full search, and after the usual one."""
-    method = method_named("mbc-dmp")
+    method = METHODS["mbc-dmp"]
     row: dict[str, Any] = {"motion": motion.name, "config": config, "before": scored(motion, robot, config)}
     for name in ("full", "usual"):
         began = time.process_time()

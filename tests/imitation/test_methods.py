@@ -19,7 +19,6 @@ from fastmimic.imitation.methods import (
     Method,
     controller_for,
     made_with,
-    method_named,
 )
 from fastmimic.imitation.stitch import stitch
 from fastmimic.motion.motion import Motion
@@ -103,7 +102,7 @@ class TestUsersMethods:
 
 def test_an_unknown_method_is_refused_with_the_closest() -> None:
     with pytest.raises(ConfigError, match=r"unknown method 'lhdmp'; there are rl, raibert, .*mean 'lh-dmp'"):
-        method_named("lhdmp")
+        METHODS["lhdmp"]
     with pytest.raises(ConfigError, match="unknown parameters 'everything'; there are none, foot-height"):
         Method("x", "X", "", "everything", lambda config: config)
 

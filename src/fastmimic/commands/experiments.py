@@ -22,7 +22,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import KEPT, put
 from fastmimic.control.config import controller_config
 from fastmimic.executors import check_workers
-from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL, method_named
+from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import ROBOT_NAMES, Robot
 from fastmimic.runs.work_folder import ENVIRONMENT, MOTIONS, TABLE, WorkFolder, of_finished
@@ -128,7 +128,7 @@ def _environment(plan: "ComparisonPlan", workers: int, kept: "Sequence[Row]") ->
         "workers": workers,
         "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
         "versions": versions(),
-        "controllers": {name: method_named(name).configure(config).as_dict() for name in methods}
+        "controllers": {name: METHODS[name].configure(config).as_dict() for name in methods}
         | {name: ablation_named(name).change(config).as_dict() for name in variants},
     }
 

@@ -16,7 +16,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import put_table
 from fastmimic.commands.show import note_origin, put_result, write_run, yes_no
 from fastmimic.control.config import controller_config
-from fastmimic.imitation.methods import check_controller, method_named
+from fastmimic.imitation.methods import METHODS, check_controller
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import moved_by
 from fastmimic.robot import Robot
@@ -47,7 +47,7 @@ class SearchRun:
 
     def check_search(self, method: str) -> None:
         """Raises `ConfigError` for options that a method without a search does not take."""
-        if not method_named(method).optimises and self.folder.resume:
+        if not METHODS[method].optimises and self.folder.resume:
             raise ConfigError(f"method '{method}' does not search, so there is nothing to resume; drop --resume")
 
     @contextmanager
@@ -62,7 +62,7 @@ class SearchRun:
             "arguments": arguments,
             "robot": robot.name,
             **about,
-            "controller": method_named(method).configure(controller_config(self.config)).as_dict(),
+            "controller": METHODS[method].configure(controller_config(self.config)).as_dict(),
             "versions": versions(),
         }
         same = {key: value for key, value in arguments.items() if key not in _NOT_THE_PROBLEM}
@@ -101,7 +101,7 @@ class Imitate(SearchRun):
         robot, motion = self.clip.load(self.motion, self.robot)
         loading_s = time.perf_counter() - began
         if self._is_left_as_it_is(motion, method):
-            method = method_named(method).unoptimised.name
+            method = METHODS[method].unoptimised.name
             note(f"{motion.name} is run once, so nothing is searched; --iterations N optimises it for N iterations")
         told = motion.provenance.as_dict()
         about = {"motion": motion.name, "source": told.get("source"), "licence": told["licence"]}
@@ -120,11 +120,11 @@ class Imitate(SearchRun):
         """Name of the method that runs; raises `ConfigError` if the options do not fit it."""
         method = self.method
         if self.no_optimize:
-            method = method_named(method).unoptimised.name
-        check_controller(method_named(method), False)
+            method = METHODS[method].unoptimised.name
+        check_controller(METHODS[method], False)
         self.check_search(method)
         if self.warm_start is not None:
-            if not method_named(method).optimises:
+            if not METHODS[method].optimises:
                 raise ConfigError(f"method '{method}' does not search, so --warm-start has no effect; drop it")
             moved_by(Motion.load(self.warm_start))
         return method
@@ -134,7 +134,7 @@ class Imitate(SearchRun):
         that is asked for takes place."""
         once = motion.target.cycle is None and not motion.target.parts
         asked = opt.given(self.search) or self.folder.resume or self.warm_start is not None
-        return once and not asked and method_named(method).optimises
+        return once and not asked and METHODS[method].optimises
 
     def _imitate(self, robot: Robot, motion: Motion, method: str, folder: RunFolder) -> "Imitation":
         from fastmimic.imitation.imitate import imitate

@@ -17,7 +17,7 @@ from fastmimic.commands.console import put
 from fastmimic.commands.show import check_truth, open_log
 from fastmimic.deploy.log import is_deployment_log
 from fastmimic.episode.plan import default_duration
-from fastmimic.imitation.methods import METHODS, controller_for, method_named
+from fastmimic.imitation.methods import METHODS, controller_for
 from fastmimic.motion.motion import Motion
 from fastmimic.render.encoding import ENDINGS, QUALITIES
 from fastmimic.robot import Robot
@@ -96,7 +96,7 @@ class Render:
             takes = f"--method takes one name, or one for each of the {len(self.motions)} motions"
             raise ConfigError(f"{takes}; found {len(self.method)}")
         for name in self.method:
-            method_named(name)
+            _ = METHODS[name]
         opt.check_kinematic(self, "method", "config", "terrain")
 
     def _tracks(self) -> "tuple[Robot, list[tuple[Track, float]]]":

@@ -32,7 +32,7 @@ from fastmimic.base.text import csv_text
 from fastmimic.control.config import CONFIGS, controller_config
 from fastmimic.dataset.excerpts import SOURCES, Excerpt, Survey
 from fastmimic.dataset.index import COLUMNS, GRADED, RECORDS, Gathered, Membership, gather, read_record, require_pyarrow
-from fastmimic.imitation.methods import RL, method_named
+from fastmimic.imitation.methods import METHODS, RL
 from fastmimic.motion.export import DEFAULT_FPS, EXPORTS, export_motion
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
@@ -88,7 +88,7 @@ class BuildSettings(SearchSettings):
     choice: FinalChoice = FinalChoice()
 
     def __post_init__(self) -> None:
-        if method_named(self.method).name == RL:
+        if METHODS[self.method].name == RL:
             raise ConfigError("a library's motions are made by a model-based method; a policy is not one motion")
         controller_config(self.config)
         if self.config not in CONFIGS:  # an absolute path, valid in any process
@@ -111,7 +111,7 @@ class BuildSettings(SearchSettings):
         return fingerprint(self._search())
 
     def _search(self) -> dict[str, Any]:
-        method = method_named(self.method)
+        method = METHODS[self.method]
         return {
             "method": method.name,
             "parameters": method.parameters,

@@ -13,7 +13,7 @@ from fastmimic.dataset.folder import INDEX, ROBOTS, SETTINGS, MotionDataset, wor
 from fastmimic.dataset.index import MOTIONS, RECORDS, damage
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.plan import episode_duration
-from fastmimic.imitation.methods import method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.robot import load_robot
 
 Progress = Callable[[int, int], None]
@@ -78,7 +78,7 @@ def rerun(library: MotionDataset, count: int, progress: Progress = lambda done, 
     found = []
     for i, at in enumerate(drawn):
         row = rows[at]
-        config = method_named(row["method"]).configure(controller)
+        config = METHODS[row["method"]].configure(controller)
         what = f"{row['id']} {row['name']} on {row['robot']}"
         try:
             motion = library.motion(row)

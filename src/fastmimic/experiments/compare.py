@@ -20,7 +20,7 @@ from fastmimic.executors.local import LocalExecutor
 from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.ablations import ABLATED, ablation_named, ablations_of
 from fastmimic.experiments.comparison_run import RUNS, ComparisonSettings, Row, Run, RunTask, finished_row
-from fastmimic.imitation.methods import PAPER_METHODS, RL, method_named
+from fastmimic.imitation.methods import METHODS, PAPER_METHODS, RL
 from fastmimic.learning.policy import POLICY_FILE, Policy, policy_for
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings
@@ -55,7 +55,7 @@ class ComparisonPlan:
         if self.seeds < 1:
             raise ConfigError(f"seeds must be at least 1, found {self.seeds}")
         for name in self.methods:
-            method_named(name)
+            _ = METHODS[name]
         if RL in self.methods and not self.policies:
             needs = f"method '{RL}' needs a trained policy for each motion"
             raise ConfigError(f"{needs}: --policy FILE or FOLDER ...; 'fastmimic train' makes one")
@@ -77,7 +77,7 @@ class ComparisonPlan:
     def runs(self) -> list[Run]:
         """Fast runs first, then seed by seed, so that an unfinished one covers all. Ablations include their method."""
         methods = [*self.methods, *([ABLATED] if self.ablations and ABLATED not in self.methods else [])]
-        optimising = [name for name in methods if method_named(name).optimises]
+        optimising = [name for name in methods if METHODS[name].optimises]
         once = [name for name in methods if name not in optimising and name != RL]
         runs = [Run(motion, name, "", 0) for motion in self.motions for name in once]
         runs += self.policies

@@ -32,7 +32,7 @@ from fastmimic.experiments.ablations import ABLATIONS, ablation_named
 from fastmimic.experiments.measurement import Row
 from fastmimic.imitation.evaluate import EVALUATION_S, PERTURBED_EPISODES
 from fastmimic.imitation.imitate import Imitation
-from fastmimic.imitation.methods import METHODS, method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.learning.policy import POLICY_FILE, Policy, controlled_by
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import MOST_ITERATIONS, Progress
@@ -105,7 +105,7 @@ class RunTask:
         """Estimated simulated time, s, as the measure of its length."""
         s = self.settings
         evaluated_s = s.evaluation_s * (2 + s.perturbed_episodes)
-        optimises = method_named(self.run.method).optimises
+        optimises = METHODS[self.run.method].optimises
         return evaluated_s + s.choice.simulated_s + self.searched_s if optimises else evaluated_s
 
     @property
@@ -135,7 +135,7 @@ def digest(
 ) -> str:
     """16 hexadecimal digits of everything that determines a run but the seed; `policy` is that of a learned method."""
     arrays = (getattr(demonstration, name) for name in ("root_pos_w", "root_quat_wxyz", "joint_pos", "contact"))
-    method = method_named(run.method)
+    method = METHODS[run.method]
     said = {
         "method": method.name,
         "parameters": method.parameters,
@@ -157,7 +157,7 @@ def perform(task: RunTask, report: Report) -> Row:
     def progress(step: Progress) -> None:
         report(step.iteration / step.iterations * task.searched_s / task.simulated_s)
 
-    run, settings, folder, method = task.run, task.settings, task.folder, method_named(task.run.method)
+    run, settings, folder, method = task.run, task.settings, task.folder, METHODS[task.run.method]
     robot, policy, controller = load_robot(settings.robot), None, None
     if task.policy is not None:
         policy = Policy.load(task.policy)
@@ -315,7 +315,7 @@ class ComparisonFolder(WorkFolder):
         methods, variants = list(METHODS), ["", *ABLATIONS]
 
         def place(row: Row) -> tuple[int, ...]:
-            kind = (bool(row["variant"]), method_named(row["method"]).optimises, row["seed"])
+            kind = (bool(row["variant"]), METHODS[row["method"]].optimises, row["seed"])
             return (*kind, motions.index(row["motion"]), methods.index(row["method"]), variants.index(row["variant"]))
 
         return sorted(rows, key=place)

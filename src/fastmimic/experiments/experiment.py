@@ -15,7 +15,7 @@ from fastmimic.episode.plan import Start
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.comparison_run import Row, check_unique, read_part, slug
 from fastmimic.experiments.measurement import searched
-from fastmimic.imitation.methods import Method, check_controller, method_named
+from fastmimic.imitation.methods import METHODS, Method, check_controller
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, Progress
 from fastmimic.robot import Robot
@@ -53,9 +53,9 @@ def check_methods(names: Sequence[str], policy: bool) -> None:
         raise ConfigError("give at least one method, such as mbc")
     check_unique("method", names)
     for name in names:
-        method = method_named(name)
+        method = METHODS[name]
         check_controller(method, policy and method.learned)
-    if policy and not any(method_named(name).learned for name in names):
+    if policy and not any(METHODS[name].learned for name in names):
         raise ConfigError("a policy was given, and no method that uses it; add rl to --methods")
 
 
@@ -74,7 +74,7 @@ def make_subject(
     method that made an optimised motion runs it unchanged; otherwise its demonstration is optimised. `policy` is the
     controller of a trained policy, and its identifier. Raises `FastMimicError` if the motion cannot be optimised, or
     the folder holds one of other content. After Ctrl-C the next call continues from the checkpoint."""
-    chosen, demonstration = method_named(method), given.target
+    chosen, demonstration = METHODS[method], given.target
     configured = chosen.configure(config)
     if not chosen.optimises:
         if chosen.learned and policy is not None:

@@ -18,7 +18,7 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.ablations import ABLATED, ablation_named
 from fastmimic.imitation.evaluate import EVALUATION_S, PERTURBED_EPISODES, unseen_start
 from fastmimic.imitation.imitate import Imitation, imitate
-from fastmimic.imitation.methods import METHODS, RL, method_named
+from fastmimic.imitation.methods import METHODS, RL
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions
@@ -87,7 +87,7 @@ def measure(
     s, each, or the length of a motion that does not repeat. The perturbed starts are the same for every motion; no
     optimisation has seen them. `controller` is that of a learned method."""
     robot, demonstration = result.robot, result.demonstration
-    method = method_named(result.method)
+    method = METHODS[result.method]
     controller = controller or method.controller
     seconds = episode_duration(demonstration, evaluation_s)
 
@@ -170,7 +170,7 @@ class Summary:
 
     @property
     def label(self) -> str:
-        return self.variant or method_named(self.method).label
+        return self.variant or METHODS[self.method].label
 
 
 def summaries(rows: Iterable[Row]) -> list[Summary]:
@@ -254,7 +254,7 @@ def _caption(rows: Sequence[Row]) -> str:
         lengths = {name: all_of(name) for name in ("population", "duration_s")}
         search = CAPTIONS["search"].format(seeds=seeds, iterations=iterations, **lengths)
     if any(row["method"] == RL for row in rows):
-        search += CAPTIONS["policies"].format(method=method_named(RL).label)
+        search += CAPTIONS["policies"].format(method=METHODS[RL].label)
     tried = {"evaluation_s": all_of("evaluation_s"), "episodes": all_of("perturbed_episodes")}
     return CAPTIONS["comparison"].format(search=search, **tried, joint=JOINT_NOISE, velocity=VELOCITY_NOISE)
 

@@ -20,7 +20,7 @@ from fastmimic.episode.plan import episode_duration, nominal_start, start_room
 from fastmimic.experiments.comparison_run import Row, check_unique
 from fastmimic.experiments.experiment import Subject
 from fastmimic.experiments.measurement import CAPTIONS
-from fastmimic.imitation.methods import method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.motion import Motion
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance, TerrainLevel, check_felt, known
@@ -182,11 +182,11 @@ def stress_table(rows: Sequence[Row], settings: StressSettings, missing: int) ->
         own = [row for row in rows if row["method"] == m]
         nominal = [row["reward_mean"] for row in own if row["value"] == swept(row["disturbance"]).nominal]
         success = max(t.nominal_success for t in found if t.method == m)
-        said.append(f"{method_named(m).label} {float(np.mean(nominal)):.3f}, {success:.0%} without a fall")
+        said.append(f"{METHODS[m].label} {float(np.mean(nominal)):.3f}, {success:.0%} without a fall")
     told = asdict(settings) | {name: rows[0][name] for name in ("motion", "duration_s")}
     unfinished = f" **Unfinished: {missing} sweeps are missing.**" if missing else ""
     caption = CAPTIONS["stress"].format(success=SUCCESS, **told) + unfinished
-    table = markdown_table(["disturbance", "tried", *(method_named(m).label for m in methods)], body)
+    table = markdown_table(["disturbance", "tried", *(METHODS[m].label for m in methods)], body)
     undisturbed = f"Undisturbed, mean reward and success over the same starts: {'; '.join(said)}."
     return "\n".join([caption, "", *table, "", undisturbed, ""])
 

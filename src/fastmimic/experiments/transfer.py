@@ -25,7 +25,7 @@ from fastmimic.experiments.comparison_run import Row
 from fastmimic.experiments.experiment import Subject, all_parts
 from fastmimic.experiments.measurement import CAPTIONS
 from fastmimic.identification.identify import identify
-from fastmimic.imitation.methods import METHODS, method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.robot import Robot
 from fastmimic.simulation.conditions import Conditions, Disturbance
 
@@ -177,7 +177,7 @@ def transfer_table(rows: Sequence[Row], missing: int) -> str:
         for rewards, falls in zip(t.rewards, t.falls, strict=True):
             fell = f", {falls} of {len(rewards)} fell" if falls else ""
             cells.append(f"{rewards.mean():.3f} ± {rewards.std():.3f}{fell}")
-        body.append([f"`{t.motion}`", method_named(t.method).label, *cells, f"{-100 * t.drop:+.0f} %"])
+        body.append([f"`{t.motion}`", METHODS[t.method].label, *cells, f"{-100 * t.drop:+.0f} %"])
     for label, simulated, deviation, real, spread in PAPER:
         cells = [f"{simulated:.3f} ± {deviation:.3f}", *[""] * (len(stages) - 2)]
         change = f"{100 * (real / simulated - 1):+.0f} %"

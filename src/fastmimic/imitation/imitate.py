@@ -20,7 +20,7 @@ from fastmimic.control.config import ControllerConfig
 from fastmimic.episode.loop import MakeController, run_episodes
 from fastmimic.episode.metrics import TRACKED, Metrics, swing_clearance
 from fastmimic.episode.rollout import Rollout
-from fastmimic.imitation.methods import check_controller, made_with, method_named
+from fastmimic.imitation.methods import METHODS, check_controller, made_with
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimisation_progress, optimize
 from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
@@ -177,7 +177,7 @@ def imitate(
 
     Raises `FastMimicError`: an argument is wrong; the message says which.
     """
-    chosen = method_named(method)
+    chosen = METHODS[method]
     check_controller(chosen, controller is not None)
     robot = load_robot(robot)
     config = chosen.configure(config)

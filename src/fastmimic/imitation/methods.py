@@ -86,11 +86,6 @@ PAPER_METHODS: Final = ("raibert", "mbc", "lh", "mbc-dmp", "lh-dmp")
 """Methods that need only the motion, in the order of the paper's figure."""
 
 
-def method_named(name: str) -> Method:
-    """The method of that name; otherwise raises `ConfigError` with the list of names."""
-    return METHODS[name]
-
-
 def check_controller(method: Method, given: bool) -> None:
     """Raises `ConfigError` if a policy is given to a method without one, or missing for a method that needs one."""
     if method.learned and not given:
@@ -105,7 +100,7 @@ def check_controller(method: Method, given: bool) -> None:
 def made_with(motion: Motion, method: str, config: ControllerConfig) -> Motion:
     """An optimised motion (a demonstration records no method) with its method and settings in its provenance. Of
     `config`, with the method's changes, only the name of its set is kept; None if it equals no set."""
-    same = config.name in CONFIGS and method_named(method).configure(CONFIGS[config.name]) == config
+    same = config.name in CONFIGS and METHODS[method].configure(CONFIGS[config.name]) == config
     record = MadeWith(method, config.name if same else None)
     return replace(motion, provenance=replace(motion.provenance, made_with=record))
 
@@ -123,5 +118,5 @@ def controller_for(
             f"motion '{motion.name}' was optimised with controller parameters of its own, which it does not carry;"
             f" give the configuration to run it with ({', '.join(CONFIGS)}, or from Python the same parameters)"
         )
-    chosen = method_named(record.method if method is None else method)
+    chosen = METHODS[record.method if method is None else method]
     return chosen, chosen.configure(config)

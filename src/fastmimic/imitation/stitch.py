@@ -16,7 +16,7 @@ from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import check_workers
 from fastmimic.imitation.imitate import Imitation, imitate
-from fastmimic.imitation.methods import check_controller, made_with, method_named
+from fastmimic.imitation.methods import METHODS, check_controller, made_with
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import Checkpoint, CmaSettings, Progress
 from fastmimic.optimize.parameters import FOOT_HEIGHT, FinalChoice, needed_group
@@ -87,7 +87,7 @@ def stitch(
     the whole is optimised.
     """
     began = time.perf_counter()
-    chosen = method_named(method)
+    chosen = METHODS[method]
     check_controller(chosen, False)
     robot = load_robot(robot)
     config = chosen.configure(config)

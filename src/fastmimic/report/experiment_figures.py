@@ -23,7 +23,7 @@ from fastmimic.experiments.compare import ComparisonPlan
 from fastmimic.experiments.comparison_run import ComparisonFolder, Row, Run, run_of
 from fastmimic.experiments.experiment import all_parts, part_file
 from fastmimic.experiments.measurement import COLUMNS, Summary, ablation_table, comparison_table, summaries
-from fastmimic.imitation.methods import METHODS, Method, method_named
+from fastmimic.imitation.methods import METHODS, Method
 from fastmimic.render import figure_style as style
 from fastmimic.render.figure_style import AFTER, BEFORE, DEMONSTRATION, INK, MUTED
 from fastmimic.runs.work_folder import RESULTS_CSV, TABLE, WorkFolder
@@ -68,7 +68,7 @@ def write_comparison(folder: ComparisonFolder, plan: ComparisonPlan, rows: Seque
     if own:
         left = sum(run.method == ABLATED and run.motion in of for run in missing)
         folder.write(compared.ABLATION_TABLE, ablation_table(own, len(own) + left))
-        title = f"What the parts of {method_named(ABLATED).label} are worth, {own[0]['robot']}"
+        title = f"What the parts of {METHODS[ABLATED].label} are worth, {own[0]['robot']}"
         style.save(ablation_figure(summaries(own), title), folder.path / compared.ABLATION_FIGURE)
         written += [compared.ABLATION_TABLE, compared.ABLATION_FIGURE]
     for name in compared.WRITTEN:
@@ -78,7 +78,7 @@ def write_comparison(folder: ComparisonFolder, plan: ComparisonPlan, rows: Seque
 
 def _write_tracking(folder: ComparisonFolder, rows: Sequence[Row]) -> list[str]:
     """Of the paper's method, or else the first optimising one; nothing without one."""
-    methods = [row["method"] for row in rows if method_named(row["method"]).optimises]
+    methods = [row["method"] for row in rows if METHODS[row["method"]].optimises]
     if not methods:
         return []
     method = ABLATED if ABLATED in methods else methods[0]
@@ -92,7 +92,7 @@ def _write_tracking(folder: ComparisonFolder, rows: Sequence[Row]) -> list[str]:
             rate_hz, start_s = float(file["rate_hz"]), float(file["start_s"])
     except UNREADABLE as error:
         raise OutputError(f"{path}: cannot be read ({error}); remove that folder, and --resume makes it anew") from None
-    title = f"Tracking before and after {method_named(method).label}, {row['robot']} (course: {run.motion})"
+    title = f"Tracking before and after {METHODS[method].label}, {row['robot']} (course: {run.motion})"
     style.save(tracking_bars(summaries(own), courses, rate_hz, start_s, title), folder.path / compared.TRACKING_FIGURE)
     return [compared.TRACKING_FIGURE]
 
@@ -207,7 +207,7 @@ def ablation_figure(summaries: Sequence[Summary], title: str) -> Figure:
             axes.axvline(s.mean("reward_mean") or 0.0, **_THIN)
         axes.set_xlim(0, 1)
         axes.set_xticks((0, 0.5, 1))
-        axes.set_yticks(range(len(variants)), [v or f"{method_named(ABLATED).label}, as it is" for v in variants])
+        axes.set_yticks(range(len(variants)), [v or f"{METHODS[ABLATED].label}, as it is" for v in variants])
         style.tidy(axes, motion, "reward", grid="x")
     grid[0, 0].invert_yaxis()
     style.legend_below(figure, more=_marks(), size=8.5)
@@ -268,7 +268,7 @@ def _panel(axes: Axes, rows: Sequence[dict[str, Any]], methods: Sequence[str], c
         x = [min(row["value"], beyond) for row in own]
         y = [1.0 - row[curve] if curve == "fell" else row[curve] for row in own]
         look: dict[str, Any] = {"color": color, "linestyle": dash, "linewidth": 1.7, "marker": marker, "markersize": 4}
-        axes.plot(x, y, **look, label=method_named(method).label, zorder=3)
+        axes.plot(x, y, **look, label=METHODS[method].label, zorder=3)
     axes.axvline(min(kind.nominal, beyond), **_THIN, label="nominal value", zorder=1)
     if curve == "fell":
         axes.axhline(stress.SUCCESS, color="#bbbbbb", linewidth=0.8, zorder=1)
@@ -305,7 +305,7 @@ def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     for axes, motion, group in zip(panels, motions, groups, strict=False):
         for i, t in enumerate(group):
             _transfer_bars(axes, i, t)
-        axes.set_xticks(range(len(group)), [method_named(t.method).label for t in group])
+        axes.set_xticks(range(len(group)), [METHODS[t.method].label for t in group])
         style.tidy(axes, motion, grid="y")
     for i, (_, simulated, deviation, real, spread) in enumerate(transfer.PAPER):
         _transfer_bar(panels[-1], i - 0.2, 0.36, simulated, deviation, *_COLORS[0])

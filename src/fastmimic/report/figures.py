@@ -24,7 +24,7 @@ from fastmimic.episode.metrics import mean_of_known
 from fastmimic.episode.rollout import Rollout
 from fastmimic.experiments.measurement import foot_courses, shown_window
 from fastmimic.imitation.imitate import Imitation
-from fastmimic.imitation.methods import method_named
+from fastmimic.imitation.methods import METHODS
 from fastmimic.motion.limits import use_of_limits
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import History
@@ -176,14 +176,14 @@ def _tracks(result: Imitation, clip: Clip | None) -> list[Track]:
 
     def track(rollout: Rollout, title: str, method: str) -> Track:
         loaded = result.config.release_force(result.robot)
-        return rollout_track(rollout, loaded, title, note=f"{result.motion.name} · {method_named(method).label}")
+        return rollout_track(rollout, loaded, title, note=f"{result.motion.name} · {METHODS[method].label}")
 
     robot, kinematic, seconds = result.robot, result.kinematic, result.duration_s
     tracks: list[Track] = []
     if clip is not None:
         tracks.append(AnimalTrack.of(clip, robot, result.motion, seconds, "the animal", result.motion.name))
     if kinematic is not None:
-        method = method_named(result.method)
+        method = METHODS[result.method]
         plain = "mbc" if method.learned or method.controller is not None else method.unoptimised.name
         tracks.append(track(kinematic, "without: the animal's motion as it is", plain))
     before = "not optimised" if result.motion.demonstration is None else "as its motions were optimised"
