@@ -110,7 +110,7 @@ def tracking_figure(
                 axes.axvspan(ends[first], ends[last], color=STANCE, linewidth=0, zorder=0)
             for feet, (_, line, label) in zip(drawn, lines, strict=True):
                 axes.plot(time, feet[:, leg], **line._asdict(), label=label)
-            errors = [rmse(feet[:, leg], drawn[0][:, leg]) for feet in drawn[1:]]
+            errors = [np.sqrt(mean_of_known((feet[:, leg] - drawn[0][:, leg]) ** 2)) for feet in drawn[1:]]
             said = " → ".join(f"{1000 * e:.1f}" if np.isfinite(e) else "–" for e in errors)
             where = f"foot {'xyz'[axis]}, body frame (m)" if leg == 0 else ""
             style.tidy(axes, f"{name} {'xyz'[axis]}: RMSE {said} mm", "time (s)" if row else "", where)
@@ -127,11 +127,6 @@ def _same_span(row: NDArray[np.object_], drawn: list[Array], shown: Flags) -> No
     half = 0.54 * max(float(np.max(high - low)), 0.01)
     for axes, centre in zip(row, (low + high) / 2, strict=True):
         axes.set_ylim(centre - half, centre + half)
-
-
-def rmse(values: Array, reference: Array) -> float:
-    """Root mean square difference over the samples where both are finite; NaN if there are none."""
-    return float(np.sqrt(mean_of_known(np.square(values - reference))))
 
 
 def run_figure(result: Imitation) -> Figure:
