@@ -59,8 +59,8 @@ def line_up(
 
 class RobotScene:
     """One robot with its marks, `aside` m to the left of the middle; `root` is its frame, called `name` in the scene
-    tree, which holds everything else. `puppet` is its geometry, which may be shared; `take` its first; `ground` length
-    and width of its ground, m; `animal` is shown to the right of it."""
+    tree, which holds everything else, in `layers` by name. `puppet` is its geometry, which may be shared; `take` its
+    first; `ground` length and width of its ground, m; `animal` is shown to the right of it."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class RobotScene:
         self._server, self._robot, self._puppet, self._animal = server, take.robot, puppet, animal
         self.aside = aside
         self.root = server.scene.add_frame(name, show_axes=False)
-        self._groups = {
+        self.layers = {
             layer: server.scene.add_frame(f"{name}/{layer}", show_axes=False)
             for layer in LAYERS
             if layer != "animal" or animal is not None
@@ -116,7 +116,7 @@ class RobotScene:
 
     def set_layer(self, layer: str, visible: bool) -> None:
         """Shows or hides one of `layers`, those of `LAYERS` that this robot has."""
-        self._groups[layer].visible = visible
+        self.layers[layer].visible = visible
 
     def set_opacity(self, opacity: float | None) -> None:
         """Sets the robot's opacity; None for opaque."""
@@ -139,7 +139,7 @@ class RobotScene:
         if ghost is not None:
             _move(self._ghost, ghost)
         here = np.array([*self._path[row], 0.0])  # origin of the marks: slow browsers take frames at once, points late
-        for layer, group in self._groups.items():
+        for layer, group in self.layers.items():
             if layer != "ghost":
                 group.position = here
         self._show_lines(row, placed, ghost, here)
@@ -154,10 +154,6 @@ class RobotScene:
             points = marks.animal_beside(self._animal, take, row, animal_aside(self._robot)) - here
             self._points.points = points.astype(np.float32)
             self._bones.points = marks.bone_segments(points).astype(np.float32)
-
-    @property
-    def layers(self) -> tuple[str, ...]:
-        return tuple(self._groups)
 
     def _add_bodies(
         self, name: str, bodies: tuple[BodyMesh, ...], opacity: float | None
