@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 from tyro.conf import Positional
 
@@ -16,13 +16,10 @@ from fastmimic.base.progress import note, share_progress, tenths
 from fastmimic.base.text import plain
 from fastmimic.commands import options as opt
 from fastmimic.commands.console import put
-from fastmimic.motion.motion import Motion
-from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import CONFIG
 from fastmimic.simulation.conditions import parse_range
 
 if TYPE_CHECKING:
-    from fastmimic.learning.learner import TrainingSettings
     from fastmimic.learning.training import Advance
 
 PAPER_STEPS: Final = 100_000_000
@@ -61,7 +58,9 @@ class Train:
         robot, motion = self.clip.load(self.motion, self.robot)
         motion = motion.target
         out = self.out or opt.RUNS / opt.folder_name(motion.name, robot.name, "rl", self.seed)
-        same = _identity(robot, motion, settings, device, self.evaluate_every)
+        content = (robot.content, motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact)
+        subject = {"robot": robot.name, "motion": motion.name, "content": fingerprint(*content)}
+        same = {**subject, "device": device, "evaluate_every": self.evaluate_every, **plain(settings)}
         resume = self.folder.resume
         folder = TrainingFolder.at(out)
         folder.check(same, resume=resume, overwrite=self.folder.overwrite, begun=(out / CHECKPOINT).is_file())
@@ -96,15 +95,6 @@ class Train:
             fell = ", fell" if best.fell else ""
             put(f"best evaluation, at {best.steps:,} steps: reward {best.reward_mean:.3f}{fell}; {perturbed}")
         put(f"to run it: fastmimic evaluate {self.motion} --policy {out / 'policy.npz'}")
-
-
-def _identity(
-    robot: Robot, motion: Motion, settings: "TrainingSettings", device: str, evaluate_every: int
-) -> dict[str, Any]:
-    """The settings that must match for a training to resume, JSON-serialisable."""
-    content = (robot.content, motion.root_pos_w, motion.root_quat_wxyz, motion.joint_pos, motion.contact)
-    subject = {"robot": robot.name, "motion": motion.name, "content": fingerprint(*content)}
-    return {**subject, "device": device, "evaluate_every": evaluate_every, **plain(settings)}
 
 
 @contextmanager
