@@ -11,7 +11,7 @@ from fastmimic.runs.work_folder import CONFIG, ENVIRONMENT, METRICS, of_finished
 
 if TYPE_CHECKING:
     from fastmimic.report.html_page import HtmlReport
-    from fastmimic.report.html_run import RerunEpisodes
+    from fastmimic.report.html_pages import RerunEpisodes
 
 REPORT: Final = "report.html"
 
@@ -42,11 +42,11 @@ def make_report(folder: str | Path, replay: "Callable[[RerunEpisodes], str] | No
     `replay` makes a self-contained HTML page that plays them in 3D, or raises `FastMimicError`. Raises `ConfigError`
     for another folder, or figures that cannot be read."""
     path, kind = Path(folder), kind_of(folder)
-    from fastmimic.report import html_deployment, html_results, html_run
+    from fastmimic.report.html_pages import deployment_page, results_page, run_page
 
     if kind == "run":
-        return html_run.run_page(path, replay)
+        return run_page(path, replay)
     if kind == "deployment":
-        return html_deployment.deployment_page(path)
+        return deployment_page(path)
     with of_finished(path):
-        return html_results.results_page(path)
+        return results_page(path)

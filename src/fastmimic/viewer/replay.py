@@ -20,7 +20,7 @@ from fastmimic.viewer.take import Take, cycle_rows, rollout_take
 from fastmimic.viewer.viewer import FRAMES_PER_S, Cameras, WebPage
 
 if TYPE_CHECKING:
-    from fastmimic.report.html_run import RerunEpisodes
+    from fastmimic.report.html_pages import RerunEpisodes
 
 SHOWN: Final = ("ghost", "contacts", "paths")  # layers of a recording at first; its scene tree switches others on
 LONGEST_S: Final = 10.0

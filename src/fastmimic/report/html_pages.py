@@ -1,8 +1,9 @@
-"""The page of a run: its files, its two nominal episodes, simulated again, and what `run.html` shows of them.
+"""The pages of a run, an experiment and a deployment: their files, and a run's two nominal episodes, simulated again.
 
 Episodes are not stored: they follow exactly from `motion.npz` and `config.json`, which `metrics.json` checks.
 """
 
+import csv
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,19 +14,32 @@ import msgspec
 from markupsafe import Markup
 
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, naming
+from fastmimic.base.errors import ConfigError, DeploymentError, naming
 from fastmimic.base.files import read_json
 from fastmimic.base.text import NONE
 from fastmimic.control.config import ControllerConfig
+from fastmimic.deploy.log import RESULT, DeploymentLog
+from fastmimic.deploy.summary import robot_of, summary_rows, with_result
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.rollout import Rollout
+from fastmimic.experiments import comparison_run as compared
 from fastmimic.experiments.measurement import shown_window
 from fastmimic.motion.motion import Motion
-from fastmimic.report.episode_figures import episode_figure
+from fastmimic.report.episode_figures import deployment_figure, episode_figure
 from fastmimic.report.figures import motion_figure
 from fastmimic.report.html_page import HtmlReport, Picture, leaving_out, render, said_arguments
 from fastmimic.robot import Robot, load_robot
-from fastmimic.runs.work_folder import CONFIG, CONVERGENCE, METRICS, MOTION, TRACKING, VIDEO
+from fastmimic.runs.work_folder import (
+    CONFIG,
+    CONVERGENCE,
+    ENVIRONMENT,
+    METRICS,
+    MOTION,
+    RESULTS_CSV,
+    TABLE,
+    TRACKING,
+    VIDEO,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,3 +184,49 @@ class _Metrics:
         wanted, got = self.value("swing_clearance_m.demonstration"), self.value(f"swing_clearance_m.{when}")
         shares = [g / w for g, w in zip(got or [], wanted or [], strict=False) if g is not None and w]
         return Markup("{:.0f} <small>%</small>").format(100 * min(shares)) if shares else NONE
+
+
+def results_page(path: Path) -> HtmlReport:
+    """The page of an experiment's folder; raises `ConfigError` if its files cannot be read."""
+    about = read_json(path / ENVIRONMENT)
+    pictures = [Picture.of(file) for file in sorted(path.glob("*.png"))]
+    tables = [_text(path / name) for name in (TABLE, compared.ABLATION_TABLE) if (path / name).is_file()]
+    rows = [*csv.reader(_text(path / RESULTS_CSV).splitlines())] if (path / RESULTS_CSV).is_file() else []
+    missing = [] if pictures else [f"{path} has no figures: without them"]
+    for name, there in ((TABLE, tables), (RESULTS_CSV, rows)):
+        if not there:
+            missing.append(f"{path / name} is missing: without it; --resume writes it when something is done")
+    title = str(about.get("experiment", "comparison")).capitalize()
+    shown: dict[str, Any] = {"about": about, "pictures": pictures, "tables": tables, "rows": rows}
+    return render("results.html", title=title, missing=missing, **shown)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
+
+
+def deployment_page(path: Path) -> HtmlReport:
+    """The page of a deployment's folder; raises `FastMimicError`."""
+    missing, pictures = [], []
+    try:
+        try:
+            log = DeploymentLog.load(path)
+            if log.facts.cut_off:
+                log = with_result(robot_of(log), log)
+            about = log.facts.as_dict()
+            pictures.append(Picture.of(deployment_figure(log, f"{about['motion']} on {about['robot']}"), "log"))
+        except DeploymentError as error:
+            if not (path / RESULT).is_file():
+                raise
+            missing.append(f"{error}: without the pictures")
+            about = read_json(path / RESULT)
+        title = f"{about['motion']} on {about['robot']}, deployed by driver {about['driver']}"
+        summary = dict(summary_rows(about["result"]))
+        arguments = said_arguments(about.get("arguments", {}))
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(f"{path}: not the figures and the log of a deployment ({error})") from None
+    shown: dict[str, Any] = {"about": about, "summary": summary, "arguments": arguments, "pictures": pictures}
+    return render("deployment.html", title=title, missing=missing, **shown)
