@@ -111,12 +111,6 @@ def test_folder_and_server_can_be_set_by_the_environment(
     assert set(files_in(tmp_path)) == {"here/a.txt", "here/b.txt"}
 
 
-def test_a_mirror_may_have_our_folders(server: Server, tmp_path: Path):
-    server.replies = {path.replace("there", "here"): reply for path, reply in server.replies.items()}
-    data.fetch(folder=tmp_path, base_url=server.url)
-    assert files_in(tmp_path) == {"here/a.txt": FIRST, "here/b.txt": SECOND}
-
-
 def test_what_is_there_is_not_fetched_again(server: Server, tmp_path: Path):
     data.fetch(folder=tmp_path, base_url=server.url)
     server.asked.clear()

@@ -75,7 +75,7 @@ def fetch(
     progress: Progress | None = None,
 ) -> list[Path]:
     """Downloads datasets (all if `names` is None) to the data folder, except files that are there and unchanged.
-    `base_url` is a server with the original's folders or the data folder's, else $FASTMIMIC_DATA_URL or the original;
+    `base_url` is a server with the original's folders, else $FASTMIMIC_DATA_URL or the original;
     `progress` is called while each file is downloaded. Returns the files' paths, all verified. Raises `DataError`:
     unknown dataset, server not reached, download incomplete, wrong content, or a folder that cannot be written.
     Existing files stay, and no partial file is left."""
@@ -101,20 +101,9 @@ def dataset_of(path: str | Path) -> Dataset | None:
 
 
 def _fetch_file(root: Path, dataset: Dataset, name: str, base_url: str, progress: Progress | None) -> Path:
-    """Tries the original folder on the server, then ours, since a mirror may have either."""
-    local = f"{dataset.name}/{name}"
-    urls = (f"{base_url}/{dataset.origin}/{name}", f"{base_url}/{local}")
-    for url in urls:
-        found = _download(root, local, dataset.files[name], url, progress)
-        if found is not None:
-            return found
-    raise DataError(f"{urls[0]}: the server has no such file (404), nor {urls[1]}; check the base URL")
-
-
-def _download(root: Path, local: str, digest: str, url: str, progress: Progress | None) -> Path | None:
-    """The verified file, or None if the URL does not exist on the server."""
     import requests
 
+    local, url, digest = f"{dataset.name}/{name}", f"{base_url}/{dataset.origin}/{name}", dataset.files[name]
     path, content = root / local, bytearray()
     if path.is_file() and sha256(path.read_bytes()).hexdigest() == digest:
         return path
@@ -122,7 +111,7 @@ def _download(root: Path, local: str, digest: str, url: str, progress: Progress 
     try:
         with requests.get(url, headers=whole, timeout=TIMEOUT_S, stream=True) as reply:
             if reply.status_code == requests.codes.not_found:
-                return None
+                raise DataError(f"{url}: the server has no such file (404); check the base URL")
             if not reply.ok:
                 raise DataError(f"{url}: the server answered {reply.status_code} ({reply.reason})")
             total = int(reply.headers.get("Content-Length", 0))

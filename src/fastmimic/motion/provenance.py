@@ -1,7 +1,7 @@
 """Where a motion comes from and how it was made: typed records, kept as JSON text in the motion's file."""
 
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, TypeVar
 
 import msgspec
@@ -120,7 +120,7 @@ class Provenance:
     """Where a motion comes from and how it was made.
 
     `source` is the clip's own, without what stands here; `retarget` is a `RetargetReport.as_dict`: see `retargeted`.
-    The end of a motion without a cycle is held for `held_s`. `extra` keeps the keys of other programs.
+    The end of a motion without a cycle is held for `held_s`.
     """
 
     name: str = "motion"
@@ -133,19 +133,15 @@ class Provenance:
     dmp: DmpRecord | None = None
     stitch: StitchRecord | None = None
     made_with: MadeWith | None = None
-    extra: dict[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types for `from_dict`, with `extra` at the top level. An unknown licence is null."""
-        found = {"licence": None} | _plain(self)
-        return found.pop("extra") | found
+        """JSON types for `from_dict`. An unknown licence is null."""
+        return {"licence": None} | _plain(self)
 
     @classmethod
     def from_dict(cls, found: Any) -> "Provenance":
         """Reads what `as_dict` made. Raises `MotionError`, which names the key, for a malformed value."""
-        own = _typed(found, dict[str, Any], "$")
-        extra = {key: own.pop(key) for key in own.keys() - ({f.name for f in fields(cls)} - {"extra"})}
-        made = _typed(own | {"extra": extra}, cls, "$")
+        made = _typed(found, cls, "$")
         _ = made.retargeted
         return made
 
