@@ -394,7 +394,7 @@ def on_the_wire(motion: str, robot: Robot, case: WireCase, domain: int) -> dict[
         log = DeploymentLog.load(out)
     rows = log.rows[~np.isin(log.rows["phase"], (DeploymentPhase.CROUCH, DeploymentPhase.DAMP))]
     up = 1.0 - 2.0 * (rows["reading"]["quat"][:, 1] ** 2 + rows["reading"]["quat"][:, 2] ** 2)
-    result = {} if log.facts.cut_off else log.facts.figures
+    result = log.facts.result
     how = "killed" if program.returncode < 0 else "done" if program.returncode in (0, 4) else "damped"
     if case.deploy and program.returncode == EXIT_VIOLATION:
         how = "sat down"

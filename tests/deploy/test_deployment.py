@@ -218,11 +218,11 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     assert again.truth is not None
     assert log.truth is not None
     assert again.truth.tobytes() == log.truth.tobytes()
-    assert again.facts.figures["periods"] == len(log.rows)
+    assert again.facts.result["periods"] == len(log.rows)
     assert again.motion.joint_pos.tobytes() == log.motion.joint_pos.tobytes()
     score = score_log(a1, again, ControllerConfig())
     assert score is not None
-    assert score.rollout.reward[0] == log.facts.figures["reward_mean"]
+    assert score.rollout.reward[0] == log.facts.result["reward_mean"]
     for name, value in (("sample", log.motion.n_samples), ("sample", -1), ("haste", -1e9), ("haste", np.nan)):
         rows = again.rows.copy()
         rows[name] = value

@@ -267,7 +267,7 @@ def test_a_full_disk_does_not_end_the_run(
     assert json.loads(Path("there/deployment.json").read_text())["result"]["stopped_by"] == "duration"
     log = DeploymentLog.load("there")
     assert 500 < len(log.rows) < 2000
-    assert log.facts.cut_off
+    assert not log.facts.result
     assert "log" in {line.split()[0] for line in out.splitlines()}
 
 
@@ -298,8 +298,8 @@ def test_a_log_that_was_cut_off_is_scored_by_its_rows(stands: Rig, tmp_path: Pat
     with open(path, "rb+") as file:
         file.truncate(path.stat().st_size - 100_000)
     log = DeploymentLog.load(path)
-    assert log.facts.cut_off
-    result = with_result(robot_of(log), log).facts.figures
+    assert not log.facts.result
+    result = with_result(robot_of(log), log).facts.result
     assert result["stopped_by"] == "unknown"
     assert "killed" in result["stopped_because"]
     assert result["log_ends"].startswith(f"at {log.rows['time_s'][-1]:.1f} s: the program was killed")

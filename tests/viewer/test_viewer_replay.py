@@ -36,7 +36,7 @@ def test_the_whole_run_is_shown_by_the_true_states(log: DeploymentLog, a1: Robot
     assert take.terms is not None
     assert take.reward is not None
     assert np.isnan(take.reward[~moving]).all()
-    assert take.reward[moving].mean() == pytest.approx(log.facts.figures["reward_truth_mean"])
+    assert take.reward[moving].mean() == pytest.approx(log.facts.result["reward_truth_mean"])
     assert "stopped by duration, ground truth" in take.caption
 
 

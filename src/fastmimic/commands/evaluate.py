@@ -121,7 +121,7 @@ class Evaluate:
         robot, log = open_log(self, self.clip, "json", "clip", "steered")
         with slow_start():
             figures = evaluation_of(robot, log, log.facts.controller).as_dict()
-        figures |= {"driver": log.facts.driver, "result": log.facts.figures}
+        figures |= {"driver": log.facts.driver, "result": log.facts.result}
         if self.json:
             return put_json(figures)
         reference = "the simulator's ground truth" if log.truth is not None else "the robot's own estimate"

@@ -177,7 +177,7 @@ def open_log(command: Any, reading: opt.ClipReading, *taken: str) -> tuple[Robot
     robot = robot_of(log, command.robot)
     with slow_start():
         log = with_result(robot, log)
-    is_whole(log.facts.figures.get("log_ends"))
+    is_whole(log.facts.result.get("log_ends"))
     return robot, log
 
 

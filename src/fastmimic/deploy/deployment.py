@@ -111,7 +111,7 @@ class Deployment:
     @property
     def result(self) -> dict[str, Any]:
         """The figures, JSON-serialisable."""
-        return self.log.facts.figures
+        return self.log.facts.result
 
 
 def deploy(
@@ -255,7 +255,7 @@ def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) ->
     if log.facts.steered:
         raise DeploymentError("the robot was steered: there is no motion to score it against")
     if scored is None:
-        raise DeploymentError(f"the robot never came to the motion: {log.facts.figures['stopped_because']}")
+        raise DeploymentError(f"the robot never came to the motion: {log.facts.result['stopped_because']}")
     conditions = Conditions(observe="sensors")
     return Evaluation(log.motion, scored.rollout, log.facts.method, config, robot.name, conditions)
 

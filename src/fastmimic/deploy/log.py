@@ -42,7 +42,7 @@ class _Ended(msgspec.Struct):
 class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
     """What a log says of its run. `config` is the controller's, `method` its method; `limits` are the `SafetyLimits`,
     `torque_limit` (12,), N·m, and `joint_speed_limit` (12,), rad/s, the robot's; `arguments` and `versions` are those
-    of the command; `result` has the figures, unless the log was cut off."""
+    of the command; `result` has the figures; none if the log was cut off."""
 
     robot: str
     motion: str
@@ -59,24 +59,12 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True):
     joint_speed_limit: list[float] = []
     arguments: dict[str, Any] = {}
     versions: dict[str, str] = {}
-    result: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
+    result: dict[str, Any] = {}
 
     @property
     def controller(self) -> ControllerConfig:
         """The controller's parameters; raises `ConfigError` for others."""
         return ControllerConfig.from_dict(self.config)
-
-    @property
-    def cut_off(self) -> bool:
-        """Whether there is no result."""
-        return self.result is msgspec.UNSET
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """`result`; raises `DeploymentError` without one."""
-        if isinstance(self.result, msgspec.UnsetType):
-            raise DeploymentError("the log was cut off: it has no result")
-        return self.result
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types."""
@@ -153,7 +141,7 @@ class DeploymentLog:
         try:
             motion = Motion.load(io.BytesIO(found.attachments[MOTION]))
             facts = msgspec.convert(found.metadata, RunFacts)
-            if not facts.cut_off:
+            if facts.result:
                 msgspec.convert(facts.result, _Ended)
         except msgspec.ValidationError as error:
             raise DeploymentError(f"{path}: the log is damaged: {error}") from None

@@ -32,7 +32,7 @@ def robot_of(log: DeploymentLog, given: str | None = None) -> Robot:
 
 def with_result(robot: Robot, log: DeploymentLog) -> DeploymentLog:
     """A log with a result: of one that was cut off, what its rows tell."""
-    if not log.facts.cut_off:
+    if log.facts.result:
         return log
     last = log.rows[-1]
     counts = (int(last[name]) for name in ("received", "lost", "rejected", "foreign"))

@@ -214,7 +214,7 @@ def deployment_page(path: Path) -> HtmlReport:
     try:
         try:
             log = DeploymentLog.load(path)
-            if log.facts.cut_off:
+            if not log.facts.result:
                 log = with_result(robot_of(log), log)
             about = log.facts.as_dict()
             pictures.append(Picture.of(deployment_figure(log, f"{about['motion']} on {about['robot']}"), "log"))

@@ -80,7 +80,7 @@ def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
         np.zeros(len(at), np.int64),
         np.zeros(1, np.int64),
         None,
-        caption=f"stopped by {log.facts.figures['stopped_by']}, {'estimate' if log.truth is None else 'ground truth'}",
+        caption=f"stopped by {log.facts.result['stopped_by']}, {'estimate' if log.truth is None else 'ground truth'}",
         measured=force[..., 2] > config.release_force(robot),
         stance=rows["stance"],
         force=force,
