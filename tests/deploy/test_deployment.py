@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
-from fastmimic.base.errors import ConfigError, DeploymentError, DriverError, MotionError
+from fastmimic.base.errors import ConfigError, DriverError, LogError, MotionError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import LoopClock, Rehearsal, VirtualClock
 from fastmimic.deploy.deployment import Deployment, figures, score_log
@@ -226,7 +226,7 @@ def test_the_log_is_read_back(stands: Rig, tmp_path, a1: Robot) -> None:
     for name, value in (("sample", log.motion.n_samples), ("sample", -1), ("haste", -1e9), ("haste", np.nan)):
         rows = again.rows.copy()
         rows[name] = value
-        with pytest.raises(DeploymentError, match="samples that its motion has not"):
+        with pytest.raises(LogError, match="samples that its motion has not"):
             score_log(a1, dataclasses.replace(again, rows=rows), ControllerConfig())
 
 

@@ -20,7 +20,7 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from deploy.rig import Rig
-from fastmimic.base.errors import DeploymentError, OutputError
+from fastmimic.base.errors import LogError, OutputError
 from fastmimic.cli import main
 from fastmimic.deploy import log_file
 from fastmimic.deploy.log import (
@@ -157,7 +157,7 @@ def test_a_flipped_bit_is_one_line(tmp_path: Path) -> None:
         wrong = bytearray(content)
         wrong[at] ^= 1 << int(at) % 8
         damaged.write_bytes(wrong)
-        with contextlib.suppress(DeploymentError):
+        with contextlib.suppress(LogError):
             read_log_file(damaged, KINDS)
             continue
         told += 1
@@ -171,12 +171,12 @@ def test_a_flipped_bit_is_one_line(tmp_path: Path) -> None:
 def test_another_file_is_no_log(content: bytes | None, said: str, tmp_path: Path) -> None:
     if content is not None:
         (tmp_path / "log.mcap").write_bytes(content)
-    with pytest.raises(DeploymentError, match=said):
+    with pytest.raises(LogError, match=said):
         DeploymentLog.load(tmp_path / "log.mcap")
     write(tmp_path / "other.mcap")
-    with pytest.raises(DeploymentError, match=r"it has no readable motion\.npz"):
+    with pytest.raises(LogError, match=r"it has no readable motion\.npz"):
         DeploymentLog.load(tmp_path / "other.mcap")
-    with pytest.raises(DeploymentError, match="not a log of 'fastmimic robot-sim'"):
+    with pytest.raises(LogError, match="not a log of 'fastmimic robot-sim'"):
         load_ground_truth(tmp_path / "other.mcap")
 
 
@@ -185,7 +185,7 @@ def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:
     file = LogFile(tmp_path / "log.mcap", {PERIODS: older}, 1)
     file.add_rows(np.arange(1), {PERIODS: np.zeros(1, older)})
     file.end({})
-    with pytest.raises(DeploymentError, match="another version of FastMimic"):
+    with pytest.raises(LogError, match="another version of FastMimic"):
         read_log_file(file.path, KINDS)
     assert schema_of(older) == "float64 time_s"
 

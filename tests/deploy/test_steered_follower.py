@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
-from fastmimic.base.errors import DeploymentError
+from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.deployment import Deployment, evaluation_of
 from fastmimic.deploy.safety import StopReason
@@ -53,7 +53,7 @@ def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) ->
     assert said["steered"].endswith(f"{done.result['way_m']:.1f} m")
     assert said["velocity error, median"].endswith(" rad/s")
     assert said["response, median"].endswith(" ms")
-    with pytest.raises(DeploymentError, match="the robot was steered"):
+    with pytest.raises(LogError, match="the robot was steered"):
         evaluation_of(a1, done.log, ControllerConfig())
 
 

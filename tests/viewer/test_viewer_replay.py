@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deploy.rig import Rig
-from fastmimic.base.errors import DeploymentError
+from fastmimic.base.errors import LogError
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.log import DeploymentLog
 from fastmimic.deploy.sequence import make_sequence
@@ -55,7 +55,7 @@ def test_without_true_states_it_begins_when_the_robot_knows_its_place(log: Deplo
     assert take.rows == 1 + (log.rows["phase"] >= DeploymentPhase.SETTLE).sum()  # the estimator begins a row before
     assert take.pose[0, 2] == pytest.approx(0.28, abs=0.03)
     early = dataclasses.replace(known, rows=log.rows[:500])
-    with pytest.raises(DeploymentError, match="had not stood up yet"):
+    with pytest.raises(LogError, match="had not stood up yet"):
         deployment_take(a1, early)
 
 

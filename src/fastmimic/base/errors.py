@@ -50,10 +50,6 @@ class DriverError(FastMimicError):
     """A robot that cannot be reached, or is not the one that was meant."""
 
 
-class DeploymentError(FastMimicError):
-    """The log of a deployment that cannot be read or used."""
-
-
 class WorkerError(FastMimicError):
     """A job whose process or machine died at every attempt."""
 

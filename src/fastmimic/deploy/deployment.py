@@ -12,7 +12,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array, Indices, Records
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, DeploymentError, check_positive
+from fastmimic.base.errors import ConfigError, LogError, check_positive
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.computer import SHORT_SPIN_S, LoopClock, StopSwitch, VirtualClock, undisturbed
@@ -225,13 +225,13 @@ def score_log(
         return None
     seen = log.rows["estimate"] if observation is None else observation
     if len(seen) != len(log.rows):
-        raise DeploymentError(f"{len(seen)} states for the {len(log.rows)} periods of the log")
+        raise LogError(f"{len(seen)} states for the {len(log.rows)} periods of the log")
     seen = np.ascontiguousarray(seen[rows])
     counts = log.rows[rows]
     clock = _first_clock(motion, counts[0], seen[0])
     table = reference_table(motion.target, robot)
     if not ((counts["sample"] >= 0) & (counts["sample"] < len(table)) & (np.abs(counts["haste"]) <= len(table))).all():
-        raise DeploymentError("the log is damaged: it has samples that its motion has not")
+        raise LogError("the log is damaged: it has samples that its motion has not")
     scorer, memory = Scorer(robot, table, 1, config, log.rate_hz), np.zeros(1, MEMORY)
     clocks, terms = np.zeros(len(rows), clock.dtype), []
     for i in range(len(rows)):
@@ -250,12 +250,12 @@ def score_log(
 
 def evaluation_of(robot: Robot, log: DeploymentLog, config: ControllerConfig) -> Evaluation:
     """The `fastmimic.evaluate` result of a deployment, by the true states if known, else by the estimate. Raises
-    `DeploymentError` if the robot did not reach the motion."""
+    `LogError` if the robot did not reach the motion."""
     scored = score_log(robot, log, config, log.truth)
     if log.facts.steered:
-        raise DeploymentError("the robot was steered: there is no motion to score it against")
+        raise LogError("the robot was steered: there is no motion to score it against")
     if scored is None:
-        raise DeploymentError(f"the robot never came to the motion: {log.facts.result['stopped_because']}")
+        raise LogError(f"the robot never came to the motion: {log.facts.result['stopped_because']}")
     conditions = Conditions(observe="sensors")
     return Evaluation(log.motion, scored.rollout, log.facts.method, config, robot.name, conditions)
 
@@ -268,14 +268,14 @@ def figures(scored: ScoredLog | None) -> dict[str, Any]:
 
 def true_states(log: DeploymentLog, truth: Records, sequence: Indices) -> Records:
     """A simulated robot's true states in the log's rows, (t,) of `OBSERVATION`. `truth` (k,) of `OBSERVATION` belongs
-    to the messages numbered `sequence` (k,), ascending. Raises `DeploymentError` if the log has another message."""
+    to the messages numbered `sequence` (k,), ascending. Raises `LogError` if the log has another message."""
     wanted = log.rows["sequence"]
     at = np.searchsorted(sequence, wanted)
     found = at < len(sequence)
     found[found] = sequence[at[found]] == wanted[found]
     if not found.all():
         said = f"the log has state {wanted[~found][0]}, and there are true ones of {sequence[0]} to {sequence[-1]}"
-        raise DeploymentError(f"{said}: another run's?")
+        raise LogError(f"{said}: another run's?")
     return truth[at]
 
 

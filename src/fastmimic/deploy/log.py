@@ -17,7 +17,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Records
 from fastmimic.base.conventions import RATE_RANGE_HZ
-from fastmimic.base.errors import DeploymentError, MotionError, OutputError
+from fastmimic.base.errors import LogError, MotionError, OutputError
 from fastmimic.base.files import read_json
 from fastmimic.base.jit import floats, integers
 from fastmimic.control.config import ControllerConfig
@@ -121,10 +121,10 @@ class DeploymentLog:
         return replace(self, facts=msgspec.structs.replace(self.facts, result=result))
 
     def run_log(self) -> RunLog:
-        """The part in the motion itself, to identify from; raises `DeploymentError` if the robot did not reach it."""
+        """The part in the motion itself, to identify from; raises `LogError` if the robot did not reach it."""
         at = np.flatnonzero(self.rows["in_motion"])
         if len(at) < 2:
-            raise DeploymentError("the robot did not reach the motion, so there is nothing to identify")
+            raise LogError("the robot did not reach the motion, so there is nothing to identify")
         step, after = self.rows[at[:-1]], self.rows[at[1:]]
         about, seen = self.facts, (after["reading"], step["command"], after["estimate"], step["stance"])
         return RunLog(about.robot, about.motion, about.rate_hz, about.latency_s, *map(np.ascontiguousarray, seen))
@@ -132,21 +132,21 @@ class DeploymentLog:
     @classmethod
     def load(cls, path: str | Path) -> "DeploymentLog":
         """Reads a log, or that in a deployment's folder. One that was cut off is read as far as it goes. Raises
-        `DeploymentError` for any other or a damaged file."""
+        `LogError` for any other or a damaged file."""
         path = log_path(path)
         found = read_log_file(path, {PERIODS: ROW, TRUTH: OBSERVATION})
         rows, truth = found.rows[PERIODS], found.rows[TRUTH]
         if not len(rows):
-            raise DeploymentError(f"{path}: not the log of a deployment, or it ends before its first period")
+            raise LogError(f"{path}: not the log of a deployment, or it ends before its first period")
         try:
             motion = Motion.load(io.BytesIO(found.attachments[MOTION]))
             facts = msgspec.convert(found.metadata, RunFacts)
             if facts.result:
                 msgspec.convert(facts.result, _Ended)
         except msgspec.ValidationError as error:
-            raise DeploymentError(f"{path}: the log is damaged: {error}") from None
+            raise LogError(f"{path}: the log is damaged: {error}") from None
         except (KeyError, MotionError):
-            raise DeploymentError(f"{path}: the log is damaged: it has no readable {MOTION}") from None
+            raise LogError(f"{path}: the log is damaged: it has no readable {MOTION}") from None
         return cls(rows, motion, facts, truth if len(truth) == len(rows) else None)
 
 
@@ -159,16 +159,16 @@ def new_log_file(path: Path, motion: Motion, facts: Mapping[str, Any], rows: int
 
 
 def log_path(path: str | Path) -> Path:
-    """The log in the folder of a deployment; another path as it is. Raises `DeploymentError` if there is none."""
+    """The log in the folder of a deployment; another path as it is. Raises `LogError` if there is none."""
     path = Path(path)
     if not path.is_dir():
         return path
     if (path / LOG).is_file():
         return path / LOG
-    with suppress(DeploymentError, KeyError, TypeError):
-        if given := read_json(path / RESULT, DeploymentError)["arguments"]["log"]:
+    with suppress(LogError, KeyError, TypeError):
+        if given := read_json(path / RESULT, LogError)["arguments"]["log"]:
             return Path(given)
-    raise DeploymentError(f"{path}: a folder without {LOG}")
+    raise LogError(f"{path}: a folder without {LOG}")
 
 
 def is_deployment_log(path: str | Path) -> bool:
@@ -178,10 +178,10 @@ def is_deployment_log(path: str | Path) -> bool:
 
 
 def load_ground_truth(path: str | Path) -> Records:
-    """(t,) of `GROUND_TRUTH` from `fastmimic robot-sim --log`, whole or cut off; `DeploymentError` for another file."""
+    """(t,) of `GROUND_TRUTH` from `fastmimic robot-sim --log`, whole or cut off; `LogError` for another file."""
     rows = read_log_file(Path(path), {ROBOT_SIM: GROUND_TRUTH}).rows[ROBOT_SIM]
     if not len(rows):
-        raise DeploymentError(f"{path}: not a log of 'fastmimic robot-sim', or it ends before its first state")
+        raise LogError(f"{path}: not a log of 'fastmimic robot-sim', or it ends before its first state")
     return rows
 
 

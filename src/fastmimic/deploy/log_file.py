@@ -24,7 +24,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from fastmimic.base.arrays import Indices, Records
-from fastmimic.base.errors import DeploymentError, OutputError
+from fastmimic.base.errors import LogError, OutputError
 from fastmimic.base.files import from_json
 from fastmimic.base.text import plain
 
@@ -142,7 +142,7 @@ class LogContent(NamedTuple):
 
 def read_log_file(path: Path, kinds: Kinds) -> LogContent:
     """Reads the rows of these topics and everything else. A file that was not ended is read up to its last whole part.
-    Raises `DeploymentError` for no such file, a damaged one, or rows of another kind."""
+    Raises `LogError` for no such file, a damaged one, or rows of another kind."""
     found, ended = LogContent({}, {}, {}), True
     rows = {topic: bytearray() for topic in kinds}
     schemas: dict[int, Schema] = {}
@@ -162,15 +162,15 @@ def read_log_file(path: Path, kinds: Kinds) -> LogContent:
                     topics[record.id], kind = record.topic, kinds.get(record.topic)
                     if kind is not None and schemas[record.schema_id].data != schema_of(kind).encode():
                         said = "rows of another version of FastMimic, which this one cannot read"
-                        raise DeploymentError(f"{path}: {said}")
+                        raise LogError(f"{path}: {said}")
                 elif isinstance(record, Attachment):
                     found.attachments[record.name] = record.data
                 elif isinstance(record, Metadata):
                     found.metadata.update({key: from_json(text) for key, text in record.metadata.items()})
     except FileNotFoundError:
-        raise DeploymentError(f"{path}: no such file") from None
+        raise LogError(f"{path}: no such file") from None
     except _DAMAGED as error:
         if ended:
-            raise DeploymentError(f"{path}: the log is damaged ({error or 'it ends early'})") from None
+            raise LogError(f"{path}: the log is damaged ({error or 'it ends early'})") from None
     found.rows.update({topic: np.frombuffer(rows[topic], kind) for topic, kind in kinds.items()})
     return found

@@ -14,7 +14,7 @@ import msgspec
 from markupsafe import Markup
 
 from fastmimic.base.conventions import LEGS
-from fastmimic.base.errors import ConfigError, DeploymentError, naming
+from fastmimic.base.errors import ConfigError, LogError, naming
 from fastmimic.base.files import read_json
 from fastmimic.base.text import NONE
 from fastmimic.control.config import ControllerConfig
@@ -218,7 +218,7 @@ def deployment_page(path: Path) -> HtmlReport:
                 log = with_result(robot_of(log), log)
             about = log.facts.as_dict()
             pictures.append(Picture.of(deployment_figure(log, f"{about['motion']} on {about['robot']}"), "log"))
-        except DeploymentError as error:
+        except LogError as error:
             if not (path / RESULT).is_file():
                 raise
             missing.append(f"{error}: without the pictures")

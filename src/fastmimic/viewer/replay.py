@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fastmimic.base.arrays import Indices
-from fastmimic.base.errors import DeploymentError
+from fastmimic.base.errors import LogError
 from fastmimic.base.rotations import quat_from_yaw, quat_rotate, yaw_from_quat
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.deployment import score_log
@@ -59,7 +59,7 @@ def recorded(e: "RerunEpisodes") -> str:
 def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
     """A deployment from standing up to its end: by the true states if they are known, else from the moment at which the
     robot knew its place. Before and after the motion itself its reference stands still, and there is no reward. Raises
-    `DeploymentError` if it was never known where the robot was."""
+    `LogError` if it was never known where the robot was."""
     config = log.facts.controller
     seen = log.rows["estimate"] if log.truth is None else log.truth
     known = seen["root_quat"].any(axis=1)
@@ -67,7 +67,7 @@ def deployment_take(robot: Robot, log: DeploymentLog) -> Take:
         known &= log.rows["phase"] < DeploymentPhase.DONE  # then the estimator stands still
     at = np.flatnonzero(known)
     if not len(at):
-        raise DeploymentError("the robot had not stood up yet, so nobody knows where it was")
+        raise LogError("the robot had not stood up yet, so nobody knows where it was")
     rows, seen = log.rows[at], seen[at]
     force = seen["foot_force"]
     yaw = yaw_from_quat(seen["root_quat"])
