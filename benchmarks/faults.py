@@ -216,7 +216,7 @@ class Case:
     name: str
     reading: Tamper | None = None
     command: Tamper | None = None
-    link: LinkFaults | None = None
+    link: LinkFaults = LinkFaults()
     silence_s: float = 0.0
     world: Any = ()  # disturbances
     operator: Callable[[StopSwitch], None] | None = None

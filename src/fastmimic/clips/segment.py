@@ -195,9 +195,9 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
     return _with_the_rest(take, _periodic(take, period))
 
 
-def as_one_cycle(clip: Clip, config: SegmentConfig | None = None) -> Segment:
+def as_one_cycle(clip: Clip, config: SegmentConfig = SegmentConfig()) -> Segment:
     """A clip as one cycle: its gait, speed and turning, and how well it closes."""
-    take = take_of(clip, config if config is not None else SegmentConfig())
+    take = take_of(clip, config)
     n = len(take.heading)
     piece = _piece(take, 0, n, float(n))
     x = take.toes.reshape(n, -1)

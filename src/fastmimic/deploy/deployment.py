@@ -118,7 +118,7 @@ def deploy(
     motion: Motion,
     robot: Robot,
     driver: RobotDriver,
-    options: DeployOptions | None = None,
+    options: DeployOptions = DeployOptions(),
     *,
     follower: Follower | None = None,
     clock: LoopClock | None = None,
@@ -142,7 +142,6 @@ def deploy(
     Raises `ConfigError` for arguments that contradict each other, `MotionError` for a motion that cannot be begun or
     ended; before anything is sent, `OutputError` without room for the log and `DriverError` without a fit robot.
     """
-    options = options if options is not None else DeployOptions()
     method, config = options.controller(motion)
     motion = motion if options.policy is None else motion.target
     steps, reason, seconds = options.ending(motion)

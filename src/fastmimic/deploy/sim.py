@@ -210,8 +210,8 @@ class SimDriver(RobotDriver):
         robot: Robot,
         clock: LoopClock | None = None,
         *,
-        conditions: Conditions | None = None,
-        faults: LinkFaults | None = None,
+        conditions: Conditions = Conditions(observe="sensors"),
+        faults: LinkFaults = LinkFaults(),
         start: str = "lying",
     ) -> None:
         """`clock` is a virtual one if None; `conditions` the sensors, world and seed; `faults` those of the link in
@@ -219,8 +219,7 @@ class SimDriver(RobotDriver):
         the simulator cannot realise."""
         super().__init__(robot)
         self._clock: LoopClock = clock if clock is not None else VirtualClock()
-        self._conditions = conditions if conditions is not None else Conditions(observe="sensors")
-        self._faults = faults if faults is not None else LinkFaults()
+        self._conditions, self._faults = conditions, faults
         self._dt = 1.0 / _RATE_HZ
         self.body = SimulatedBody(robot, self._conditions, _RATE_HZ, start)
         self._truth: list[bytes] = []

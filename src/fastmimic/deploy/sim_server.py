@@ -83,10 +83,10 @@ def go2_body(robot: Robot, settings: SimSettings) -> SimulatedBody:
 class SimServer:
     """A simulated robot with a Go2's DDS interface. `realtime_factor` is simulated time per second, ≤ 1."""
 
-    def __init__(self, robot: Robot, settings: SimSettings | None = None, log: Recorder | None = None) -> None:
+    def __init__(self, robot: Robot, settings: SimSettings = SimSettings(), log: Recorder | None = None) -> None:
         """`log` takes the ground truth, rows of `fastmimic.deploy.log.GROUND_TRUTH`. Raises `DriverError` like
         `Participant`, and if there is another robot."""
-        self.settings = settings if settings is not None else SimSettings()
+        self.settings = settings
         self.counts, self.realtime_factor = SimCounts(), 1.0
         self._log = log
         self._participant = Participant(self.settings.domain, self.settings.interface)

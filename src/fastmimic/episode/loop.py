@@ -66,16 +66,15 @@ class ClosedLoop:
         robot: Robot,
         demonstration: Motion,
         n: int,
-        config: ControllerConfig | None = None,
+        config: ControllerConfig = ControllerConfig(),
         *,
         threads: int = 1,
-        conditions: Conditions | None = None,
+        conditions: Conditions = Conditions(),
         controller: MakeController | None = None,
     ) -> None:
         """`controller` makes another controller than the model-based one, and may raise any `FastMimicError`. Raises
         `MotionError` if the motion is for another robot, `ConfigError` if it is for another rate."""
-        config = config if config is not None else ControllerConfig()
-        self.conditions = conditions if conditions is not None else Conditions()
+        self.conditions = conditions
         demonstration.check_robot(robot.name)
         self.robot = robot
         self.demonstration = demonstration
@@ -305,9 +304,9 @@ def run_episodes(
     *,
     start: Start | None = None,
     duration_s: float = 10.0,
-    config: ControllerConfig | None = None,
+    config: ControllerConfig = ControllerConfig(),
     log: bool = False,
-    conditions: Conditions | None = None,
+    conditions: Conditions = Conditions(),
     controller: MakeController | None = None,
 ) -> Rollout:
     """Runs episodes of a motion once, scored against its demonstration `motion.target`: one from the motion's start if

@@ -99,6 +99,7 @@ def evaluate(
     if chosen.learned:  # a policy imitates the demonstration, not a motion that was optimised for another controller
         motion = motion.target
     duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
+    conditions = conditions or Conditions()
     start = perturbed_start(episodes, start_room(motion, duration_s), np.random.default_rng(seed))
     rollout = run_episodes(
         robot,
@@ -110,7 +111,7 @@ def evaluate(
         conditions=conditions,
         controller=controller,
     )
-    return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions or Conditions())
+    return Evaluation(motion, rollout, chosen.name, config, robot.name, conditions)
 
 
 def unseen_start(motion: Motion, seconds: float, perturbed: int) -> Start:

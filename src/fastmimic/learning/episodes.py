@@ -68,7 +68,7 @@ class Episodes:
         robot: Robot,
         motion: Motion,
         n: int,
-        config: PolicyConfig | None = None,
+        config: PolicyConfig = PolicyConfig(),
         *,
         seed: int = 0,
         threads: int = 1,
@@ -77,7 +77,6 @@ class Episodes:
         randomize: Sequence[Range] = (),
     ) -> None:
         """Raises `MotionError` for another robot's motion, `ConfigError` for another rate or a number out of range."""
-        config = config if config is not None else PolicyConfig()
         demonstration = motion.target
         demonstration.check_robot(robot.name)
         demonstration.check_rate(config.control_rate_hz)

@@ -94,7 +94,7 @@ def train(
     motion: Motion,
     steps: int,
     folder: TrainingFolder,
-    settings: TrainingSettings | None = None,
+    settings: TrainingSettings = TrainingSettings(),
     *,
     device: str = "cpu",
     threads: int = 1,
@@ -114,7 +114,6 @@ def train(
     Raises `ConfigError` for a missing library or as `Learner`, `CheckpointError` for a damaged checkpoint, and
     `OutputError` if a file cannot be written. Ctrl-C leaves a checkpoint of the last minute.
     """
-    settings = settings if settings is not None else TrainingSettings()
     with closing(Learner(robot, motion, settings, device=device, threads=threads)) as learner:
         return _Training(learner, folder, evaluate_every, evaluate or evaluate_policy, progress).run(steps, resume)
 

@@ -67,7 +67,7 @@ class Problem(ABC):
         parameters: Sequence[Parameter],
         *,
         objective: Objective,
-        config: ControllerConfig | None = None,
+        config: ControllerConfig = ControllerConfig(),
         workers: int | None = None,
     ) -> None:
         """Arguments as attributes; `workers` are threads (None: one per core). Raises `ConfigError` below one."""
@@ -79,7 +79,7 @@ class Problem(ABC):
         self.parameters = tuple(parameters)
         self.start = self.initial
         self.objective = objective
-        self.config = config if config is not None else ControllerConfig()
+        self.config = config
         self.workers = workers if workers is not None else available_cores()
         self.divisions: tuple[int, ...] = ()  # control steps that divide episodes into parts
         self._loops: dict[tuple[int, int], ClosedLoop] = {}
@@ -166,14 +166,13 @@ class ImitationProblem(Problem):
         dmp: MotionDmp,
         *,
         group: str = FOOT_HEIGHT,
-        objective: Objective | None = None,
-        config: ControllerConfig | None = None,
+        objective: Objective = Objective(),
+        config: ControllerConfig = ControllerConfig(),
         workers: int | None = None,
         moved: Mapping[str, float] | None = None,
     ) -> None:
         """`dmp` is fitted to the demonstration, `group` one of `PARAMETER_GROUPS`, `moved` the modulation at the start
         of the search (see `moved_by`). Raises `ConfigError` for fewer than one worker, or no such group."""
-        objective = objective if objective is not None else Objective()
         self._repeats = demonstration.cycle is not None
         if not self._repeats:
             objective = replace(objective, duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)

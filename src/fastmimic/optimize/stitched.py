@@ -44,8 +44,8 @@ class StitchedProblem(Problem):
         demonstration: Motion,
         *,
         start: Mapping[str, float] | Sequence[Mapping[str, float]] | None = None,
-        objective: Objective | None = None,
-        config: ControllerConfig | None = None,
+        objective: Objective = Objective(),
+        config: ControllerConfig = ControllerConfig(),
         group: str = FOOT_HEIGHT,
         workers: int | None = None,
         n_basis: int | None = None,
@@ -56,7 +56,7 @@ class StitchedProblem(Problem):
         one worker, no such group, or a start with other parameters, `MotionError` if the motion is not stitched."""
         self.layout = Layout.of(demonstration)
         self.steps = demonstration.n_samples - 1
-        objective = replace(objective or Objective(), duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
+        objective = replace(objective, duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
         fits = [MotionDmp.fit(part, robot, n_basis) for part in demonstration.parts]
         self.segments = [
             ImitationProblem(robot, demonstration.parts[s.part], fits[s.part], group=group, config=config, workers=1)

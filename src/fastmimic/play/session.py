@@ -119,7 +119,7 @@ class LiveSession:
         start: str = STAND,
         method: str = "mbc",
         config: ControllerConfig | str = "default",
-        conditions: Conditions | None = None,
+        conditions: Conditions = Conditions(),
         gaits: GaitField | None = None,
     ) -> None:
         self.robot = robot
@@ -129,7 +129,7 @@ class LiveSession:
         if not isinstance(motions, MotionSet):
             motions = MotionSet(robot, motions, self.rate_hz, regulator=self._given.regulator)
         self.motions = motions
-        self.conditions = conditions if conditions is not None else Conditions()
+        self.conditions = conditions
         simulation = make_simulation(robot, 1, self.conditions, control_rate_hz=self.rate_hz)
         if not isinstance(simulation, MujocoSimulation):
             raise ConfigError(f"a live session is simulated by mujoco, not by {self.conditions.simulator}")

@@ -58,10 +58,10 @@ class MotionSet:
         *,
         executor: Executor | None = None,
         source: str | None = None,
-        regulator: RegulatorConfig | None = None,
+        regulator: RegulatorConfig = RegulatorConfig(),
     ) -> None:
         self.robot = robot
-        self._regulator = regulator if regulator is not None else RegulatorConfig()
+        self._regulator = regulator
         self._executor, self._source = executor, source if source is not None else robot.name
         self._transitions: dict[tuple[str, str], Future[CourseTransition | None]] = {}
         self._busy: Future[Any] | None = None
