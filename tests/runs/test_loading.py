@@ -10,11 +10,9 @@ import pytest
 from control.motions import gait
 from fastmimic.base.errors import ConfigError, FastMimicError, MotionError, RobotError
 from fastmimic.clips.catalogue import open_clip
-from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import ARRAYS, Motion
 from fastmimic.robot import Robot
-from fastmimic.runs import loading
-from fastmimic.runs.loading import find_motion, load_motion
+from fastmimic.runs.loading import MotionSource, find_motion, load_motion
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +51,12 @@ class TestLoadMotion:
             load_motion(clip, robot, speed=0.6)
 
     def test_a_clip_is_retargeted_once(self, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        def refuse(clip: Clip, *_: object) -> None:
-            raise LookupError(clip.origin.parameters)
+        def refuse(source: MotionSource, *_: object, **options: object) -> None:
+            raise LookupError(source.name)
 
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
         made = load_motion("trot", robot, speed=0.83)
-        monkeypatch.setattr(loading, "_retargeted", refuse)
+        monkeypatch.setattr(MotionSource, "retarget", refuse)
         kept = load_motion("trot", robot, speed=0.83)
         assert kept.provenance == made.provenance
         for one, other in ((made, kept), (made.animal, kept.animal)):

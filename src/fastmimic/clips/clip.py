@@ -26,7 +26,6 @@ KEYPOINTS: Final = Skeleton(
 )
 """Of the ten points of `POINT_NAMES`: trunk, girdles, and a straight line for each leg."""
 
-
 _DOG: Final = packaged("fastmimic.clips", "dog.json", dict[str, Any])
 _BONES: Final = [bone for part in _DOG["bones"].values() for bone in part]
 DOG: Final = Skeleton(_DOG["points"], tuple((a, b) for a, b, _ in _BONES), tuple(radius for *_, radius in _BONES))
@@ -57,7 +56,6 @@ class ClipOrigin:
         robot: to which joint angles in the file belong.
         loop: what the file says of its repetition, in its own words.
         parameters: of a built-in gait, changed from its own ones.
-        scale_given: the scale, where the user gave it.
         assumed: in reading it; sentences for the user.
         licence, credit: of the recording; None if unknown.
     """
@@ -70,7 +68,6 @@ class ClipOrigin:
     robot: str | None = None
     loop: Mapping[str, Any] | None = None
     parameters: Mapping[str, float] | None = None
-    scale_given: float | None = None
     assumed: tuple[str, ...] = ()
     licence: str | None = None
     credit: str | None = None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -27,17 +27,6 @@ A1_MASS_KG: Final = 12.453000000000001
 A1_JOINT_INERTIA: Final = 0.037411360960741595  # mean of `Robot.joint_inertia`, kg·m²
 A1_LEG_LENGTH_M: Final = 0.4
 
-_PRINTED: Final[dict[str, Any]] = {
-    "precision": 8,
-    "threshold": 1000,
-    "edgeitems": 3,
-    "linewidth": 75,
-    "suppress": False,
-    "floatmode": "maxprec",
-    "sign": "-",
-    "formatter": None,
-}
-"""How NumPy prints numbers unless it is told otherwise."""
 _NOWHERE: Final = re.compile(r' (pos="0 0 0"|quat="1 0 0 0")')
 _ROUNDED_ZERO: Final = re.compile(r"-?\d(\.\d+)?e-(1[2-9]|[2-9]\d)\b|(?<![\d.])-0(?![\d.])")
 
@@ -124,9 +113,10 @@ class Robot:
 
     @property
     def said(self) -> str:
-        """All that it consists of, as text, to tell robots apart; however a user has NumPy print."""
-        with np.printoptions(**_PRINTED):
-            return repr({each.name: getattr(self, each.name) for each in fields(self) if each.repr})
+        """All that it consists of, as text, to tell robots apart; numbers to eight digits."""
+        values = {each.name: getattr(self, each.name) for each in fields(self) if each.repr}
+        arrays = {name: [f"{x:.8g}" for x in v.ravel()] for name, v in values.items() if isinstance(v, np.ndarray)}
+        return repr(values | arrays)
 
     @property
     def content(self) -> bytes:

@@ -67,7 +67,10 @@ class MotionSource:
 
     def retarget(self, robot: Robot, *, executable: bool = True, **overrides: Any) -> "tuple[Motion, RetargetReport]":
         """The clip's motion for a robot, and what changed; raises as `open_clip` and `retarget` do."""
-        return _retargeted(self.open_clip(robot, **overrides), robot, executable)
+        from fastmimic.episode.loop import share_of_falls  # loads the compiler
+        from fastmimic.retargeting.retarget import retarget
+
+        return retarget(self.open_clip(robot, **overrides), robot, executable=executable, falls=share_of_falls)
 
     def load(self, robot: Robot, **overrides: Any) -> Motion:
         """The motion for a robot; see `load_motion`."""
@@ -82,13 +85,6 @@ class MotionSource:
         return self.motion
 
 
-def _retargeted(clip: Clip, robot: Robot, executable: bool) -> "tuple[Motion, RetargetReport]":
-    from fastmimic.episode.loop import share_of_falls  # loads the compiler
-    from fastmimic.retargeting.retarget import retarget
-
-    return retarget(clip, robot, executable=executable, falls=share_of_falls)
-
-
 def _remembered(clip: Clip, robot: Robot, executable: bool) -> Motion:
     """The motion of a clip, retargeted once and then kept in the user's cache folder."""
     about = (clip.origin, clip.rate_hz, clip.is_cycle, clip.leg_length_m, clip.scale, executable, robot.said)
@@ -96,8 +92,8 @@ def _remembered(clip: Clip, robot: Robot, executable: bool) -> Motion:
     known = Remembered(repr(about), [clip.points_w, quat], outcome=True)
     if (found := known.read()) is not None:
         return Motion.load(io.BytesIO(found["motion"].tobytes()))
-    motion, content = _retargeted(clip, robot, executable)[0], io.BytesIO()
-    motion.save(content)
+    motion, _ = find_motion(clip).retarget(robot, executable=executable)
+    motion.save(content := io.BytesIO())
     known.keep({"motion": np.frombuffer(content.getvalue(), np.uint8)}, packaged=False)
     return motion
 

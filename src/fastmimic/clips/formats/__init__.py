@@ -67,4 +67,4 @@ def read_clip(path: str | Path, options: ReadOptions | None = None) -> Clip:
 def with_scale(clip: Clip, scale: float) -> Clip:
     """The clip with a given positive factor from its size to the robot's; raises `ClipError`."""
     check_positive(scale, "the scale", ClipError, f"{scale:g}")
-    return replace(clip, scale=float(scale), origin=replace(clip.origin, scale_given=float(scale)))
+    return replace(clip, scale=float(scale))
