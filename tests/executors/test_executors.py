@@ -26,7 +26,7 @@ def executor(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
         return
     ray = pytest.importorskip("ray")  # whose processes find this file's neighbours
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([TESTS, os.environ.get("PYTHONPATH", "")]))
-    ray.init(num_cpus=2, include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False)
+    ray.init("local", num_cpus=2, include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False)
     yield make_executor("ray", workers=2)
     ray.shutdown()
 
@@ -171,3 +171,16 @@ def test_a_cluster_that_only_ray_finds_is_looked_for_before_anything_is_begun(mo
     monkeypatch.setattr(ray, "init", _raising(ConnectionError("none runs here")))
     with pytest.raises(ConfigError, match="no Ray cluster at 'auto': none runs here"):
         make_executor("ray", address="auto")
+
+
+def test_without_an_address_ray_starts_one_of_its_own_beside_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: dict[str, object] = {}
+
+    def init(**given: object) -> None:
+        asked.update(given)
+        raise ConnectionError("not here")
+
+    monkeypatch.setattr(pytest.importorskip("ray"), "init", init)
+    with pytest.raises(ConfigError, match="Ray cannot be started here: not here"):
+        by_job(make_executor("ray", workers=3).run(do, [1]))
+    assert (asked["address"], asked["num_cpus"]) == ("local", 3)

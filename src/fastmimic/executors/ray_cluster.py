@@ -90,7 +90,7 @@ class RayExecutor:
         place: dict[str, Any] = {"address": self._address}
         failed = f"no Ray cluster at '{self._address}'"
         if self._address is None:
-            place = {"num_cpus": self._limit or available_cores(), "include_dashboard": False}
+            place = {"address": "local", "num_cpus": self._limit or available_cores(), "include_dashboard": False}
             failed = "Ray cannot be started here"
         try:
             ray.init(**place, logging_level=logging.ERROR, log_to_driver=False)
