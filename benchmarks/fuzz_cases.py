@@ -105,7 +105,7 @@ def stop_before_work() -> None:
         "commands.live:ProcessPoolExecutor",
         "steering.gait_field:_made",
         "render.video:render_video",
-        "clips.data:_download",
+        "clips.data:_fetch_file",
         "identification.identify:identify",
     ):
         module, _, name = place.partition(":")
