@@ -75,10 +75,9 @@ def fetch(
     progress: Progress | None = None,
 ) -> list[Path]:
     """Downloads datasets (all if `names` is None) to the data folder, except files that are there and unchanged.
-    `base_url` is a server with the original's folders, else $FASTMIMIC_DATA_URL or the original;
-    `progress` is called while each file is downloaded. Returns the files' paths, all verified. Raises `DataError`:
-    unknown dataset, server not reached, download incomplete, wrong content, or a folder that cannot be written.
-    Existing files stay, and no partial file is left."""
+    `base_url` is a server with the original's folders, else $FASTMIMIC_DATA_URL or the original; `progress` is called
+    while each file is downloaded. Returns the files' paths, all verified. Raises `DataError`: unknown dataset, server
+    not reached, download incomplete, wrong content, or a folder that cannot be written; existing files stay whole."""
     root = data_folder(folder)
     url = (base_url or os.environ.get(URL_VARIABLE) or DEFAULT_BASE_URL).rstrip("/")
     datasets = [DATASETS[name] for name in (DATASETS if names is None else names)]

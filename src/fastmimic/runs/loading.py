@@ -3,6 +3,7 @@
 import io
 import os
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,9 +88,9 @@ class MotionSource:
 
 def _remembered(clip: Clip, robot: Robot, executable: bool) -> Motion:
     """The motion of a clip, retargeted once and then kept in the user's cache folder."""
-    about = (clip.origin, clip.rate_hz, clip.is_cycle, clip.leg_length_m, clip.scale, executable, robot.said)
-    quat = np.zeros(0) if clip.root_quat_wxyz is None else clip.root_quat_wxyz
-    known = Remembered(repr(about), [clip.points_w, quat], outcome=True)
+    body = clip.rate_hz, clip.is_cycle, clip.leg_length_m, clip.scale
+    about = repr((version("casadi"), clip.origin, *body, executable, robot.said))
+    known = Remembered(about, [a for a in (clip.points_w, clip.root_quat_wxyz) if a is not None], outcome=True)
     if (found := known.read()) is not None:
         return Motion.load(io.BytesIO(found["motion"].tobytes()))
     motion, _ = find_motion(clip).retarget(robot, executable=executable)
