@@ -22,6 +22,7 @@ from deploy.dds_domains import free_domain
 from fastmimic.base.errors import ConfigError, DriverError
 from fastmimic.cli import main
 from fastmimic.deploy.dds.cyclone import Participant
+from fastmimic.deploy.driver import StateMessage
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.go2.driver import Go2Driver
 from fastmimic.deploy.log import GROUND_TRUTH, Recorder, load_ground_truth
@@ -305,7 +306,10 @@ def test_a_process_is_stood_up_over_the_wire_and_ends_at_ctrl_c(
             driver.write(command)
             state = driver.read(10.0)
             assert state is not None
-    time.sleep(0.7)
+        silent: StateMessage | None = state
+        while silent is not None and silent.sequence < state.sequence + 700:  # milliseconds of the robot's own time
+            silent = driver.read(10.0)
+        assert silent is not None
     robot.send_signal(signal.SIGINT)
     out, err = robot.communicate(timeout=30)
     assert robot.returncode == 0, err
