@@ -17,7 +17,6 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from fastmimic.steering import gait_field
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from few_gaits import FEW
-from searches import QUICK_CHOICE, quick_main
+from searches import quick_main, shorten
 
 BLOCK = re.compile(r"^(?:<!-- not run: (.+) -->\n)?```(bash|python)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NOT_OURS = re.compile(r"^(?:pip|make|git|sudo|python|cd|\.ci/run|sbatch|tensorboard)\b.*$", re.MULTILINE)
@@ -71,15 +70,10 @@ def main(folder: Path, pages: list[Path]) -> None:
 
 def run_python(code: str) -> int:
     def work() -> None:
-        fm.imitate, fm.stitch = partial(shortly, fm.imitate), partial(shortly, fm.stitch)
+        shorten()
         exec(compile(code, "block", "exec"), {"__name__": "__main__"})
 
     return in_child(work)
-
-
-def shortly(search: Callable[..., Any], *sources: Any, **options: Any) -> Any:
-    """A search of two small iterations."""
-    return search(*sources, **(options | {"iterations": 2, "population": 4, "choice": QUICK_CHOICE}))
 
 
 def run_bash(code: str) -> int:

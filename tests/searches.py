@@ -1,10 +1,17 @@
-"""How searches choose their result in tests: quickly."""
+"""How searches choose their result in tests: quickly.
+
+python tests/searches.py EXAMPLE.py [ARGUMENTS]      runs an example with short searches
+"""
 
 import inspect
+import runpy
+import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final
 from unittest import mock
 
+import fastmimic as fm
 from fastmimic.cli import main
 from fastmimic.commands import options
 from fastmimic.optimize.parameters import FinalChoice
@@ -24,3 +31,18 @@ def quick_main(arguments: Sequence[str] | None = None) -> int:
 
     with mock.patch.object(options, "apply", quickly):
         return main(arguments)
+
+
+def shorten() -> None:
+    """From now on `fastmimic.imitate` and `fastmimic.stitch` search for two small iterations only."""
+    fm.imitate, fm.stitch = partial(_shortly, fm.imitate), partial(_shortly, fm.stitch)
+
+
+def _shortly(search: Callable[..., Any], *sources: Any, **options: Any) -> Any:
+    return search(*sources, **(options | {"iterations": 2, "population": 4, "choice": QUICK_CHOICE}))
+
+
+if __name__ == "__main__":
+    shorten()
+    del sys.argv[0]
+    runpy.run_path(sys.argv[0], run_name="__main__")
