@@ -11,12 +11,13 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from browsing import PATIENCE_S, open_page
+from browsing import PATIENCE_S, open_page, plainly
 from fastmimic.base.files import write_json
 from fastmimic.base.text import csv_text
 from fastmimic.cli import main
@@ -31,6 +32,7 @@ from fastmimic.report.html_page import markdown
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot
 from fastmimic.viewer.replay import recorded
+from fastmimic.viewer.scene import line_up
 from searches import quick_main
 
 PICTURE = base64.b64decode(
@@ -98,9 +100,15 @@ def no_replay(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def page(finished: Path) -> Parsed:
-    """Its report."""
+    """Its report, with a replay that is drawn plainly."""
     pytest.importorskip("viser", reason="viser is not installed: pip install 'fastmimic[view]'")
-    report = make_report(finished, recorded)
+
+    def lined_up(server: Any, *arguments: Any, **options: Any) -> Any:
+        plainly(server)
+        return line_up(server, *arguments, **options)
+
+    with mock.patch("fastmimic.viewer.replay.line_up", lined_up):
+        report = make_report(finished, recorded)
     assert report.missing == ()
     report.save(finished / "report.html")
     return Parsed(report.html)
