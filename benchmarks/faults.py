@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 from docs_table import put
-from numpy.typing import NDArray
 
 from fastmimic import load_motion
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import FastMimicError
 from fastmimic.base.rotations import quat_from_rotvec, quat_multiply, quat_rotate_inverse
 from fastmimic.base.text import markdown_table
@@ -264,7 +264,7 @@ class FaultyDriver(SimDriver):
             return None
         return dataclasses.replace(state, reading=reading)
 
-    def _send(self, command: NDArray[Any]) -> bool:
+    def _send(self, command: Records) -> bool:
         if self.at_fault and self._case.command is not None:
             command = command.copy()
             self._case.command(command[0], self._kept)
@@ -276,7 +276,7 @@ def lock_step(robot: Robot, sequence: MotionSequence, case: Case) -> dict[str, A
     clock, switch = VirtualClock(), StopSwitch(stream=None)
     driver = FaultyDriver(robot, clock, case)
 
-    def watch(machine: StateMachine, command: NDArray[Any]) -> None:
+    def watch(machine: StateMachine, command: Records) -> None:
         driver.moving_s += machine.dt * machine.in_motion
         if case.operator is not None and driver.at_fault:
             case.operator(switch)

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.configuration import changed, check, pack, record_fields, tabulated
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, unknown
@@ -236,7 +236,7 @@ _RECORD: Final = record_dtype(
 )
 
 
-def pack_config(config: ControllerConfig, robot: Robot) -> NDArray[Any]:
+def pack_config(config: ControllerConfig, robot: Robot) -> Records:
     """(1,) structured array for the kernels, scaled to the robot."""
     scales = {"weight": robot.mass * GRAVITY, "force_weight": mass_ratio(robot) ** 2}
     scales |= {"joint": joint_ratio(robot), "length": length_ratio(robot)}

@@ -6,6 +6,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
@@ -203,7 +204,7 @@ def _add_leg_momentum(config: Any, ref: Any, scratch: Any) -> None:
         scratch.desired[r] += momentum[r]
 
 
-def constant_gains_of(stance: StanceConfig) -> NDArray[Any]:
+def constant_gains_of(stance: StanceConfig) -> Records:
     """The paper's feedback (eq. 1), (1,) of `GAINS`: k_p, k_d and Q."""
     gains = np.zeros(1, GAINS)
     gains["trunk"][0, :, :6], gains["trunk"][0, :, 6:12] = np.diag(stance.position_gain), np.diag(stance.velocity_gain)
@@ -211,7 +212,7 @@ def constant_gains_of(stance: StanceConfig) -> NDArray[Any]:
     return gains
 
 
-def gains_of(motion: Motion, robot: Robot, config: ControllerConfig) -> NDArray[Any]:
+def gains_of(motion: Motion, robot: Robot, config: ControllerConfig) -> Records:
     """The feedback (g,) of `GAINS` along a motion's demonstration, or the paper's constant one (1,)."""
     if config.stance.feedback == "constant":
         return constant_gains_of(config.stance)
@@ -263,7 +264,7 @@ class Controller:
         begin_legs(self.memory, self.tables, sample)
         self.plan["valid"] = 0
 
-    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+    def step(self, observation: Records, clocks: Records) -> Records:
         """The next control step's commands, (n,), overwritten by the next call; from (n,) of `OBSERVATION`, `CLOCK`."""
         robots = self.tables, self.gains, clocks, observation, self._seen, self.memory, self.command, self.plan
         control_step(self._config, self._model, *robots, *self._trots, self._trot_clocks, *self._work)

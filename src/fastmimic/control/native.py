@@ -20,7 +20,7 @@ from numba import config as numba_config
 from numba import objmode, types
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import depends_on, floats, kernel, object_kernel, record_dtype
 
 OPTIMAL: Final = 1
@@ -28,7 +28,7 @@ INFINITY: Final = 1e30
 _SETTINGS_BYTES: Final = 1024  # more than the struct needs in any release
 
 
-def make_workspace(n_max: int, m_max: int) -> NDArray[Any]:
+def make_workspace(n_max: int, m_max: int) -> Records:
     """Memory of a problem of up to n_max variables and m_max constraints, simple bounds included. One per thread. The
     record holds `hessian` (n × n, row-major in its first n² entries), `gradient` f, `rows` of A, `upper` and `lower`
     (simple bounds first), the solution `x`, its multipliers `dual`, and DAQP's structs, which point to them."""

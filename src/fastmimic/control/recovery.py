@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.base.rotations import (
@@ -202,7 +203,7 @@ NO_RECOVERY: Final = np.zeros((1, 1), SAMPLE), np.zeros((1, 1), GAINS)
 
 
 @once
-def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> tuple[NDArray[Any], NDArray[Any]]:
+def recovery_gaits(motion: Motion, robot: Robot, config: RegulatorConfig) -> tuple[Records, Records]:
     """Tables (p, m) of `SAMPLE` and gains (p, g) of `GAINS`: a trot for a cycle, one for each second of a passage."""
     count = 1 if motion.cycle is not None else max(1, round(motion.period_s / PIECE_S))
     trots = [_trot(motion, part, robot) for part in np.array_split(np.arange(motion.n_samples), count)]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import inlined, kernel
 from fastmimic.control.footing import SMALL_HEIGHT_M
 from fastmimic.control.native import INFINITY, OPTIMAL, solve_qp
@@ -26,7 +26,7 @@ _SIDES = np.array([[-1, 0], [1, 0], [0, -1], [0, 1], *(np.sqrt(0.5) * np.array([
 _HOLD_STEPS = 10  # control steps for which the last forces are held when the QP fails
 
 
-def begin_legs(memory: NDArray[Any], tables: NDArray[Any], sample: NDArray[np.int64]) -> None:
+def begin_legs(memory: Records, tables: Records, sample: NDArray[np.int64]) -> None:
     """Clears the memory (n,) of `MEMORY`; leg states become those of the tables (1 or n, t) at `sample` (n,)."""
     memory[...] = np.zeros((), memory.dtype)
     memory["stance"] = tables["contact"][np.minimum(np.arange(len(memory)), len(tables) - 1), sample]

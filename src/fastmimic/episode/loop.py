@@ -3,12 +3,12 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError, MotionError
 from fastmimic.base.rotations import quat_rotate, quat_rotate_inverse, rotate_planar, yaw_from_quat
 from fastmimic.control.config import ControllerConfig, loaded_robot
@@ -36,14 +36,14 @@ class LoopController(Protocol):
     `MEMORY`, and the last `command` (n,) of `COMMAND`."""
 
     config: ControllerConfig
-    tables: NDArray[Any]
-    memory: NDArray[Any]
-    command: NDArray[Any]
+    tables: Records
+    memory: Records
+    command: Records
 
     def reset(self, sample: NDArray[np.int64]) -> None:
         """Begins n episodes at samples (n,) of the reference."""
 
-    def step(self, observation: NDArray[Any], clocks: NDArray[Any]) -> NDArray[Any]:
+    def step(self, observation: Records, clocks: Records) -> Records:
         """Commands (n,) of `COMMAND` for the next control step."""
 
 
@@ -51,7 +51,7 @@ MakeController = Callable[[Robot, Motion, int, ControllerConfig], LoopController
 """Makes a controller for a robot, its demonstration, n robots, and the loop's configuration."""
 
 
-def on_reference(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> Placement:
+def on_reference(table: Records, sample: NDArray[np.int64], origin: Array) -> Placement:
     """The states at samples (n,) of a table (t,) of `SAMPLE` with its origin at (n, 3) (x, y, yaw) in the world."""
     due = demonstration_in_world(table, sample, origin)
     turning = quat_rotate_inverse(due["root_quat"], due["ang_vel"])
@@ -97,13 +97,13 @@ class ClosedLoop:
             # in the frame of the executable motion, which the clocks synchronise
             animal = reference_table(dataclasses.replace(demonstration.animal, demonstration=demonstration), robot)
             self._scorers.append(Scorer(robot, animal, n, config, config.rate_hz))
-        self._seen: NDArray[Any] = self.simulation.observation
-        self._truth: NDArray[Any] = self.simulation.observation
+        self._seen: Records = self.simulation.observation
+        self._truth: Records = self.simulation.observation
         self._followed = self.clocks  # the controller's own clocks
 
     def run(
         self,
-        references: Sequence[Motion] | NDArray[Any] | None,
+        references: Sequence[Motion] | Records | None,
         start: Start,
         steps: int,
         *,
@@ -140,7 +140,7 @@ class ClosedLoop:
             reward_animal=animal[0].tallies["reward_sum"] / steps if animal else found.reward_animal,
         )
 
-    def place(self, start: Start, references: Sequence[Motion] | NDArray[Any] | None = None) -> None:
+    def place(self, start: Start, references: Sequence[Motion] | Records | None = None) -> None:
         """Begins n episodes: puts the robots where the demonstration is; arguments and errors as for `run`."""
         if start.n != self.n:
             raise ConfigError(f"this loop holds {self.n} robots; {start.n} starts were given")
@@ -158,11 +158,11 @@ class ClosedLoop:
         if self.observer is not None:
             self._seen, self._followed = self._first_look(self.observer, start, told)
 
-    def control(self) -> NDArray[Any]:
+    def control(self) -> Records:
         """The controller's commands (n,) of `COMMAND` for the next control step."""
         return self.controller.step(self._seen, self._followed)
 
-    def apply(self, commands: NDArray[Any]) -> None:
+    def apply(self, commands: Records) -> None:
         """Steps the simulation, observes it for the controller, and advances the controller's clocks."""
         controller, observer = self.controller, self.observer
         if observer is None:
@@ -191,7 +191,7 @@ class ClosedLoop:
         draws = [episode_generator(seed, int(i), _START_PURPOSE).uniform(-1.0, 1.0, 3) for i in start.streams]
         return np.array(draws) * self.terrain.spread - [0.0, 0.0, _travel(self.table)]
 
-    def _first_look(self, observer: Observer, start: Start, told: Placement) -> tuple[NDArray[Any], NDArray[Any]]:
+    def _first_look(self, observer: Observer, start: Start, told: Placement) -> tuple[Records, Records]:
         """First sensor readings, as estimates, and the controller's own clocks. The controller is told that the robots
         are where the demonstration is, without the start's offsets."""
         known = np.zeros(self.n, START)
@@ -201,7 +201,7 @@ class ClosedLoop:
         seen = observer.reset(self.simulation.observation, known, planned, start.streams, self.clocks)
         return seen, observer.clocks
 
-    def _follow(self, references: Sequence[Motion] | NDArray[Any] | None) -> None:
+    def _follow(self, references: Sequence[Motion] | Records | None) -> None:
         """Gives the controller references, those of the demonstration for None, in step with it, and a model-based
         controller their gains; those of tables are the demonstration's."""
         controller, gains, tables = self.controller, self._gains, self.table[None]
@@ -225,7 +225,7 @@ class ClosedLoop:
             controller.gains = gains
 
 
-def _travel(table: NDArray[Any]) -> float:
+def _travel(table: Records) -> float:
     """Direction of a table's (t,) mean velocity from the heading, rad; 0 for a motion that stays where it is."""
     x, y = rotate_planar(-yaw_from_quat(table["root_quat"]), table["lin_vel"][:, :2]).mean(axis=0)
     return float(np.arctan2(y, x)) if np.hypot(x, y) > _TRAVELS else 0.0
@@ -277,7 +277,7 @@ class _Recorder:
         rate_hz = self._loop.controller.config.rate_hz
         return Log(rate_hz, wanted=wanted, demonstration=demonstration, terrain=self._loop.terrain, **kept)
 
-    def _present(self) -> dict[str, NDArray[Any]]:
+    def _present(self) -> dict[str, Records]:
         """What is kept of each step: fields of `Log`, and the clocks' `sample` and `origin`."""
         loop, memory = self._loop, self._loop.controller.memory
         up = loop.scorer.tallies["fallen"] == 0

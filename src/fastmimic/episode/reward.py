@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError, check_positive
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
@@ -24,7 +24,7 @@ from fastmimic.reference.table import in_world, world_root
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import leg_forward
 
-TermFunction = Callable[[NDArray[Any], NDArray[Any]], Array]
+TermFunction = Callable[[Records, Records], Array]
 """From the due demonstration (n,) of `SAMPLE`, in the world frame, and the states (n,) of `OBSERVATION` of n robots:
 the term (n,), each in [0, 1]. Called once per control step."""
 
@@ -98,7 +98,7 @@ class ScoringContext(NamedTuple):
     `geometry` (4, 12), the feet's radius, m, the vertical force above which one is loaded, N, the control step, s, and
     scratch memory (3, 3, 3)."""
 
-    table: NDArray[Any]
+    table: Records
     geometry: Array
     foot_radius: float
     threshold: float
@@ -234,7 +234,7 @@ def _count_foot(
 class Counted(NamedTuple):
     """Counters of n episodes so far, (n,) of `TALLY`, and the sums (n, k) of the user's `own` terms."""
 
-    tallies: NDArray[Any]
+    tallies: Records
     own: Array
 
     def since(self, before: "Counted") -> "Counted":
@@ -248,7 +248,7 @@ class Counted(NamedTuple):
 class Scorer:
     """The reward, the falls and the counters (`tallies`, (n,) of `TALLY`) of n robots. One thread at a time."""
 
-    def __init__(self, robot: Robot, table: NDArray[Any], n: int, config: ControllerConfig, rate_hz: float) -> None:
+    def __init__(self, robot: Robot, table: Records, n: int, config: ControllerConfig, rate_hz: float) -> None:
         """`table` (t,) of `SAMPLE` is the demonstration; `config` tells from which load on a foot has touched down."""
         self.tallies = np.zeros(n, TALLY)
         self.context = ScoringContext(
@@ -268,9 +268,7 @@ class Scorer:
         self.tallies[rows] = np.zeros((), TALLY)
         self._own[rows] = self._own_sums[rows] = 0.0
 
-    def score(
-        self, clocks: NDArray[Any], truths: NDArray[Any], memories: NDArray[Any], seen: NDArray[Any] | None = None
-    ) -> None:
+    def score(self, clocks: Records, truths: Records, memories: Records, seen: Records | None = None) -> None:
         """Scores the robots' states, (n,) of `OBSERVATION`, after a control step. `clocks` (n,) of `CLOCK` give the due
         sample of the demonstration and its place; `memories` (n,) of `MEMORY` are the controller's; `seen` are the
         states as seen from the ground, None if it is level."""
@@ -293,7 +291,7 @@ class Scorer:
         """A copy of the counters."""
         return Counted(self.tallies.copy(), self._own_sums.copy())
 
-    def _add_own_terms(self, clocks: NDArray[Any], observations: NDArray[Any]) -> None:
+    def _add_own_terms(self, clocks: Records, observations: Records) -> None:
         """Adds the user's terms; the weights are scaled so that the reward stays in [0, 1]."""
         demonstration = demonstration_in_world(self.context.table, clocks["sample"], clocks["origin"])
         for k, term in enumerate(self._added):
@@ -304,7 +302,7 @@ class Scorer:
         self.tallies["reward_sum"][up] += (self.reward - built_in)[up]
 
 
-def demonstration_in_world(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> NDArray[Any]:
+def demonstration_in_world(table: Records, sample: NDArray[np.int64], origin: Array) -> Records:
     """Due samples (…) of a table (t,) of `SAMPLE`, with root, velocities and accelerations in the world frame. `sample`
     (…) are their indices, `origin` (…, 3) x, y and yaw of the table in the world."""
     demonstration = table[sample]
@@ -315,7 +313,7 @@ def demonstration_in_world(table: NDArray[Any], sample: NDArray[np.int64], origi
     return demonstration
 
 
-def _checked(term: RewardTerm, demonstration: NDArray[Any], observations: NDArray[Any]) -> Array:
+def _checked(term: RewardTerm, demonstration: Records, observations: Records) -> Array:
     assert term.function is not None
     values = np.asarray(term.function(demonstration, observations), dtype=float)
     if values.shape != observations.shape:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.episode.observer import EstimationErrors
 from fastmimic.episode.reward import REWARD_TERMS, Counted, reward_weights
@@ -37,17 +37,17 @@ class Log:
     """
 
     rate_hz: float
-    observation: NDArray[Any]
-    command: NDArray[Any]
+    observation: Records
+    command: Records
     stance: NDArray[np.bool_]
     recovering: NDArray[np.bool_]
     wanted: NDArray[np.bool_]
     force: Array
     solve_time: Array
     terms: Array
-    demonstration: NDArray[Any]
-    estimate: NDArray[Any] | None = None
-    reading: NDArray[Any] | None = None
+    demonstration: Records
+    estimate: Records | None = None
+    reading: Records | None = None
     terrain: Terrain | None = None
     weights: Array = field(default_factory=reward_weights)
 
@@ -92,7 +92,7 @@ class Rollout:
     early_contacts: Array
     foot_rmse: Array
     qp_failures: NDArray[np.int64]
-    tracking: NDArray[Any]
+    tracking: Records
     log: Log | None = None
     parts: "tuple[Rollout, ...]" = ()
     estimation: EstimationErrors | None = None

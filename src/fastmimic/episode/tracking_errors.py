@@ -7,9 +7,8 @@ They compare 13 points: the trunk's base and each leg's hip, knee and foot, the 
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.jit import floats, inlined, integers, record_dtype
 from fastmimic.base.vectors import turned
 from fastmimic.reference.table import next_period
@@ -133,7 +132,7 @@ def _count_acceleration(tally: Any, spacing: int, dt: float) -> None:
             tally.acceleration_error += np.sqrt(total) / (POINTS * (spacing * dt) ** 2)
 
 
-def tracking_errors(tallies: NDArray[Any]) -> NDArray[Any]:
+def tracking_errors(tallies: Records) -> Records:
     """The measures (n,) of `TRACKING_ERRORS` of episodes, or of parts of them, from their tallies (n,)."""
     steps = np.where(tallies["steps"] > 0, tallies["steps"], np.nan)
     found = np.zeros(len(tallies), TRACKING_ERRORS)

@@ -1,11 +1,11 @@
 """The estimator's parameters: one set for all motions and all robots."""
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.configuration import check, pack, record_fields, tabulated
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import ConfigError
@@ -65,7 +65,7 @@ CONFIG: Final = record_dtype(
 """Configuration and robot as the kernels read them; variances are those of one control step."""
 
 
-def pack_config(config: EstimatorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
+def pack_config(config: EstimatorConfig, robot: Robot, rate_hz: float) -> Records:
     """(1,) of `CONFIG`."""
     dt = 1.0 / rate_hz
     record = np.zeros(1, CONFIG)

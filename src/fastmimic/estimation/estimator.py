@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, kernel, record_dtype
 from fastmimic.base.vectors import copy, heading_of, quat_to_matrix, times, turned
@@ -302,7 +302,7 @@ class Estimator:
         """(2,): rotation of the first robot's ground from level, about x and y, rad."""
         return np.asarray(self.state["ground"][0])
 
-    def reset(self, readings: NDArray[Any], starts: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
+    def reset(self, readings: Records, starts: Records, planned: NDArray[np.int64]) -> Records:
         """Starts at known places, from the first readings, at rest or in motion; arguments and result as in `step`.
         Height comes from the lowest foot, roll and pitch from the IMU; standing legs correct the velocity. `starts` is
         (n,) of `START`."""
@@ -310,7 +310,7 @@ class Estimator:
         begin(self._config, self.state, readings, starts, planned, self.observation, self._scratch)
         return self.observation
 
-    def step(self, readings: NDArray[Any], planned: NDArray[np.int64]) -> NDArray[Any]:
+    def step(self, readings: Records, planned: NDArray[np.int64]) -> Records:
         """The present estimate, (n,) of `OBSERVATION`, from the readings of one control step; overwritten by the next
         call. `readings` is (n,) of `READING`, `planned` (n, 4) whether the controller lets each leg stand. The base's
         pose and velocity are in the frame of the ground; foot forces are vertical, 0 where a foot does not touch."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
@@ -39,7 +38,7 @@ COURSE: Final = record_dtype(
 body; `foot` from the root on the ground, z of its centre; and velocities, accelerations and `gain` as in `SAMPLE`."""
 
 
-def course_of(motion: Motion, robot: Robot) -> NDArray[Any]:
+def course_of(motion: Motion, robot: Robot) -> Records:
     """A cycle or stitched motion, at the controller's rate, as an array (t,) of `COURSE`."""
     table = reference_table(motion, robot)
     course = np.zeros(motion.n_samples, COURSE)
@@ -68,13 +67,13 @@ class CourseTransition:
     for the score. Rows [first, last) are the transition itself. `gains` (g,) of `GAINS` are those that the rows name.
     """
 
-    course: NDArray[Any]
-    demonstration: NDArray[Any]
+    course: Records
+    demonstration: Records
     first: int
     last: int
     leave: int
     arrive: int
-    gains: NDArray[Any]
+    gains: Records
 
 
 def make_course_transition(

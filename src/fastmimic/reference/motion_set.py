@@ -7,9 +7,8 @@ from functools import cache
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import MotionError
 from fastmimic.base.registry import Registry
 from fastmimic.clips.catalogue import open_clip
@@ -39,9 +38,9 @@ class Entry:
 
     name: str
     motion: Motion
-    course: NDArray[Any]
-    demonstration: NDArray[Any]
-    gains: NDArray[Any]
+    course: Records
+    demonstration: Records
+    gains: Records
 
 
 class MotionSet:
@@ -205,7 +204,7 @@ class LiveReference:
         """Starts standing here."""
         self.begin(STAND, np.array([x, y, yaw]))
 
-    def fill(self, rows: NDArray[Any], *, scored: bool = False) -> None:
+    def fill(self, rows: Records, *, scored: bool = False) -> None:
         """Fills rows of `SAMPLE` with the reference from now on; if `scored`, with the demonstration."""
         self._scratch[0] = self.place[0]
         fill_table(*self._courses(scored), self._scratch[0], self._work[0], rows)
@@ -216,7 +215,7 @@ class LiveReference:
         return self._entry.motion
 
     @property
-    def gains(self) -> NDArray[Any]:
+    def gains(self) -> Records:
         """The gains (g,) of `GAINS` that the present rows name."""
         return self._transition.gains if self._transition is not None else self._entry.gains
 
@@ -226,7 +225,7 @@ class LiveReference:
         if self.place["left"][0]:
             self._arrived()
 
-    def _courses(self, scored: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
+    def _courses(self, scored: bool = False) -> tuple[Records, Records]:
         """The present course and the next, the same if none is known; if `scored`, those of the demonstration."""
         armed = self._entry if self._armed is None else self._armed[1]
         now, after = (self._entry, armed) if self._transition is None else (self._transition, self._following)

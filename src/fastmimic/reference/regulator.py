@@ -14,12 +14,12 @@ cycle until they repeat. The forces that the QP cannot give are weighed by the c
 weight is Bᵀ P B with the cost-to-go P (Kuindersma et al. 2014).
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, record_dtype
 from fastmimic.base.rotations import quat_from_yaw, quat_multiply, quat_rotate, turned_about_z, yaw_from_quat
@@ -43,15 +43,13 @@ feet touch down next, s, 0 if none does, and their side: from −1, all on the r
 
 
 @once
-def motion_gains(motion: Motion, robot: Robot, config: RegulatorConfig) -> NDArray[Any]:
+def motion_gains(motion: Motion, robot: Robot, config: RegulatorConfig) -> Records:
     """`regulator_gains` (g,) of a motion's demonstration."""
     turn = None if motion.cycle is None else float(motion.cycle[2])
     return regulator_gains(reference_table(motion, robot), robot, config, motion.dt, turn)
 
 
-def regulator_gains(
-    table: NDArray[Any], robot: Robot, config: RegulatorConfig, dt: float, turn: float | None
-) -> NDArray[Any]:
+def regulator_gains(table: Records, robot: Robot, config: RegulatorConfig, dt: float, turn: float | None) -> Records:
     """Gains (g,) of `GAINS` along a table (t,) of `SAMPLE` with samples `dt` s apart, one for each `GAIN_SAMPLES` of
     them; `turn` is the turn of a period, rad, None if the motion does not repeat."""
     model = _Model(table, robot, config, dt, turn)
@@ -126,9 +124,7 @@ class _Model:
     feet's forces (12), in N, and of their accelerations (8); `step` (n,) in s, `cost` (n, 20, 20) of u, `landing` (n,
     8) of the feet's velocities, `turn` (n,) from the next node's heading to this one's, rad."""
 
-    def __init__(
-        self, table: NDArray[Any], robot: Robot, config: RegulatorConfig, dt: float, turn: float | None
-    ) -> None:
+    def __init__(self, table: Records, robot: Robot, config: RegulatorConfig, dt: float, turn: float | None) -> None:
         node = table[::GAIN_SAMPLES]
         n = len(node)
         self.step = np.full(n, GAIN_SAMPLES * dt)

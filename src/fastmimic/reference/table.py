@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.errors import MotionError
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
@@ -60,7 +60,7 @@ that the root stays in its own time, m."""
 _CATCHING_UP: Final = 0.1  # samples that a motion that does not repeat waits in each control step after haste
 
 
-def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
+def reference_table(motion: Motion, robot: Robot) -> Records:
     """Packs a motion into an array (t,) of `SAMPLE`, in the frame of its demonstration's first sample. Accelerations
     are central differences of the velocities, periodic if the motion is."""
     origin = motion.target  # a reference and its demonstration share one frame
@@ -91,7 +91,7 @@ def reference_table(motion: Motion, robot: Robot) -> NDArray[Any]:
 
 
 def put_root(
-    table: NDArray[Any], demonstration: Motion, position: Array, quat: Array, lin_vel: Array, ang_vel: Array
+    table: Records, demonstration: Motion, position: Array, quat: Array, lin_vel: Array, ang_vel: Array
 ) -> None:
     """Puts a root's path into a table (t,) of `SAMPLE`, in the frame of the demonstration's first sample. `position`
     (t, 3), m, `quat` (t, 4), wxyz, and the velocities (t, 3), m/s and rad/s, are in the world frame."""
@@ -148,7 +148,7 @@ def _difference(v: Array, dt: float, turn: float | None) -> Array:
     return (extended[2:] - extended[:-2]) / (2 * dt)
 
 
-def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
+def make_clocks(motion: Motion, n: int) -> Records:
     """Clocks of n robots at the start of the motion, (n,) of `CLOCK`."""
     clocks = np.zeros(n, CLOCK)
     if motion.cycle is not None:
@@ -156,7 +156,7 @@ def make_clocks(motion: Motion, n: int) -> NDArray[Any]:
     return clocks
 
 
-def place_clocks(clocks: NDArray[Any], sample: NDArray[np.int64], table: NDArray[Any], pose: Array) -> None:
+def place_clocks(clocks: Records, sample: NDArray[np.int64], table: Records, pose: Array) -> None:
     """Sets clocks (n,) to samples (n,) with the reference root there at `pose` (n, 3): x, y, yaw, world, m and rad."""
     clocks["sample"] = sample
     for name in ("cycle", "jump", "part", "ahead", "held"):
@@ -277,7 +277,7 @@ def advance_clocks(clocks: Any, tables: Any, root_xy: Array, haste: Array) -> No
                 _hold(clock, in_world(clock, table[clock.sample].root_pos), before)
 
 
-def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
+def stack_tables(motions: Sequence[Motion], robot: Robot) -> Records:
     """Tables (k, t) of `SAMPLE` of several references; `MotionError` if their lengths differ."""
     lengths = {m.n_samples for m in motions}
     if len(lengths) != 1:
@@ -285,7 +285,7 @@ def stack_tables(motions: Sequence[Motion], robot: Robot) -> NDArray[Any]:
     return np.stack([reference_table(m, robot) for m in motions])
 
 
-def world_root(table: NDArray[Any], sample: NDArray[np.int64], origin: Array) -> tuple[Array, Array]:
+def world_root(table: Records, sample: NDArray[np.int64], origin: Array) -> tuple[Array, Array]:
     """Root position (…, 3) and quaternion (…, 4) in the world at samples, for origins (…, 3) (x, y, yaw)."""
     position = np.array(table["root_pos"][sample])
     position[..., :2] = rotate_planar(origin[..., 2], position[..., :2]) + origin[..., :2]

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.jit import floats, integers, record_dtype
 from fastmimic.robot.robot import Robot
 
@@ -66,7 +67,7 @@ MODEL: Final = record_dtype(
 )
 
 
-def pack_model(robot: Robot) -> NDArray[Any]:
+def pack_model(robot: Robot) -> Records:
     """Packs a robot as an array of one `MODEL` record."""
     record = np.zeros(1, MODEL)
     given = {"inertia": robot.inertia_b, "lower": robot.joint_lower, "upper": robot.joint_upper}
@@ -84,9 +85,9 @@ class RunLog:
     motion: str
     rate_hz: float  # control steps a second
     latency_s: float  # age of the readings of IMU and joints on arrival
-    reading: NDArray[Any]  # (t,) of `READING`, the latest at the end of each step
-    command: NDArray[Any]  # (t,) of `COMMAND`, the motors' commands for the step
-    estimate: NDArray[Any]  # (t,) of `OBSERVATION`, the estimator's result
+    reading: Records  # (t,) of `READING`, the latest at the end of each step
+    command: Records  # (t,) of `COMMAND`, the motors' commands for the step
+    estimate: Records  # (t,) of `OBSERVATION`, the estimator's result
     stance: NDArray[np.bool_]  # (t, 4) legs that the gait planner let stand in the step
 
     @property

@@ -12,9 +12,8 @@ from functools import cached_property
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError, did_you_mean, unknown
 from fastmimic.base.registry import Registry
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
@@ -160,11 +159,11 @@ class Delay:
         self._substeps, self.delays = substeps, bool(self.late.any())
         self._sent = np.zeros((int(self.late.max()) // substeps + 2, len(self.late)), COMMAND)
 
-    def send(self, commands: NDArray[Any], step: int) -> None:
+    def send(self, commands: Records, step: int) -> None:
         """Takes the commands (n,) of a control step, which are counted from 0 in each episode."""
         self._sent[step % len(self._sent)] = commands
 
-    def arrived(self, step: int, substep: int = 0) -> NDArray[Any]:
+    def arrived(self, step: int, substep: int = 0) -> Records:
         """The commands (n,) that have reached the motors by now; the first ones are there from the start."""
         if not self.delays:
             return self._sent[step % len(self._sent)]

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY, GROUND_FRICTION, LEGS
 from fastmimic.base.jit import floats, kernel, record_dtype
 from fastmimic.base.vectors import copy, quat_turned
@@ -242,12 +242,12 @@ class MujocoSimulation(Disturbed):
         self._ctrl[rows] = 0.0
         self._bias[rows, :, 1:3] = 0.0
 
-    def observe(self) -> NDArray[Any]:
+    def observe(self) -> Records:
         """The present states, (n,) of `OBSERVATION`; contact forces are those of the last substep."""
         _observe(self._qpos, self._qvel, self._sensors, self._index, self.observation)
         return self.observation
 
-    def step(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def step(self, commands: Records) -> Records:
         """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
         if self._pushed:
             self.push(self._qpos[:, 3:7])
@@ -263,6 +263,6 @@ class MujocoSimulation(Disturbed):
         self._steps += 1
         return self.observe()
 
-    def drive(self, commands: NDArray[Any]) -> None:
+    def drive(self, commands: Records) -> None:
         """Sends the motors their commands."""
         actuate(commands, self._qvel, self._index, self.motors, self._ctrl, self._bias, self._torques)

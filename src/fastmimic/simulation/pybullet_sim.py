@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.conventions import GRAVITY, LEGS
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import optional
@@ -92,7 +91,7 @@ class PybulletSimulation(Disturbed):
         for i, body in enumerate(self._bodies):
             body.observe(self.observation[i])
 
-    def step(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def step(self, commands: Records) -> Records:
         self.push(self.observation["root_quat"])
         self._delay.send(commands, self._steps)
         arrived = [self._delay.arrived(self._steps, substep) for substep in range(self.substeps)]

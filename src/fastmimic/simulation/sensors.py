@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.configuration import pack, record_fields
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.base.jit import floats, inlined, integers, kernel, record_dtype
@@ -45,7 +44,7 @@ _CONFIG: Final = record_dtype(
 )  # `periods` and `delays` are control steps between readings of IMU, joints and feet, and until they arrive
 
 
-def _pack(config: SensorConfig, robot: Robot, rate_hz: float) -> NDArray[Any]:
+def _pack(config: SensorConfig, robot: Robot, rate_hz: float) -> Records:
     record = np.zeros(1, _CONFIG)
     pack(config, record)
     rates = (config.imu_rate_hz, config.joint_rate_hz, config.foot_rate_hz)
@@ -168,7 +167,7 @@ class Sensors:
         self.command = np.zeros(n, COMMAND)
         self.reading = np.zeros(n, READING)
 
-    def reset(self, generators: Sequence[np.random.Generator], truth: NDArray[Any]) -> NDArray[Any]:
+    def reset(self, generators: Sequence[np.random.Generator], truth: Records) -> Records:
         """Begins n episodes with one random stream each; `truth` is (n,) of `OBSERVATION`.
 
         Returns the first readings, (n,) of `READING`; overwritten by the next call.
@@ -189,7 +188,7 @@ class Sensors:
             errors["foot_offset"][i] = config.foot_offset * rng.standard_normal(4)
         return self.measure(truth, np.zeros(len(errors), COMMAND))
 
-    def measure(self, truth: NDArray[Any], commands: NDArray[Any]) -> NDArray[Any]:
+    def measure(self, truth: Records, commands: Records) -> Records:
         """Readings (n,) of `READING` that have arrived at the end of a control step; overwritten by the next call.
         `truth` (n,) of `OBSERVATION` is the state at its end, `commands` (n,) of `COMMAND` are the motors'."""
         at = self._step % _BLOCK
@@ -202,7 +201,7 @@ class Sensors:
         _measure(self._config, self._errors, self._noise, truth, motors, self._ring, self.reading, at, self._work)
         return self.reading
 
-    def to_motors(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def to_motors(self, commands: Records) -> Records:
         """Commands (n,) of `COMMAND` as motors with encoder offsets take them: they close their position loops on what
         they measure. Overwritten by the next call."""
         self.command[...] = commands

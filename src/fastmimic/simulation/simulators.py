@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
-from numpy.typing import NDArray
-
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.registry import Registry
 from fastmimic.robot import Robot
@@ -35,12 +33,12 @@ class Placement(NamedTuple):
 class Simulation(Protocol):
     """n robots that take commands and give the present states, (n,) of `OBSERVATION`; see `MujocoSimulation`."""
 
-    observation: NDArray[Any]
+    observation: Records
 
     def reset(self, *state: Array) -> None:
         """Puts the robots into given states, the arrays of `Placement`."""
 
-    def step(self, commands: NDArray[Any]) -> NDArray[Any]:
+    def step(self, commands: Records) -> Records:
         """Applies commands (n,) of `COMMAND` for one control step; returns the new observation."""
 
 

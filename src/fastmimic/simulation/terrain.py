@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.files import UNREADABLE, open_arrays, packaged
 from fastmimic.base.registry import Registry
@@ -64,7 +63,7 @@ class GroundPlane(NamedTuple):
         above[..., 2] = self.height + position[..., 2] / self.normal[..., 2]
         return above, quat_multiply(self.quat, quat)
 
-    def seen(self, observation: NDArray[Any]) -> NDArray[Any]:
+    def seen(self, observation: Records) -> Records:
         """States (…) of `OBSERVATION` as from the ground: height along the normal, orientation and velocities in the
         plane's frame; x, y and forces are left."""
         out = observation.copy()
@@ -127,7 +126,7 @@ class Terrain:
         under = self.field.height(x[..., None] + _UNDER[:, 0], y[..., None] + _UNDER[:, 1])
         return GroundPlane.of(under.mean(axis=-1), under @ _UNDER / np.sum(_ACROSS**2) / len(_ACROSS))
 
-    def seen(self, observation: NDArray[Any]) -> NDArray[Any]:
+    def seen(self, observation: Records) -> Records:
         """States (n,) of `OBSERVATION` as from the ground under each robot."""
         return self.plane(observation["root_pos"][:, 0], observation["root_pos"][:, 1]).seen(observation)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 
@@ -153,7 +153,7 @@ class CommandErrors:
     yaw_rate: list[float] = field(default_factory=list)
     response_s: list[float] = field(default_factory=list)
 
-    def add(self, observation: NDArray[Any], wanted: Array, dt: float, fell: NDArray[np.bool_] | None = None) -> None:
+    def add(self, observation: Records, wanted: Array, dt: float, fell: NDArray[np.bool_] | None = None) -> None:
         """Adds a run: states (t,) of `OBSERVATION`, the velocity wanted (t, 3), heading frame, at steps of `dt`, s. A
         command in which the robot `fell` (t,) counts only there."""
         moved = rotate_planar(-yaw_from_quat(observation["root_quat"]), observation["lin_vel"][:, :2])

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.rotations import rotate_planar
 from fastmimic.steering.gait_field import RATE_HZ, GaitField
 
@@ -67,7 +67,7 @@ def _rows_until(events: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.array([np.argmax(np.roll(events, -row, axis=0), axis=0) for row in range(len(events))])
 
 
-def _rolls(rows: NDArray[Any]) -> Array:
+def _rolls(rows: Records) -> Array:
     """How far each foot that stands moves on the ground until the next row, as a ball does, (k, t, 8), m."""
     feet, stands = rows["foot"][..., :2], rows["contact"][..., None] != 0
     after = rotate_planar(rows["turn"][..., None], np.roll(feet, -1, axis=1)) + rows["step"][:, :, None]

@@ -15,12 +15,11 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array
+from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.segment import find_segments
@@ -120,8 +119,8 @@ class GaitField:
     forwards: Array
     sideways: Array
     turning: Array
-    rows: NDArray[Any]
-    gains: NDArray[Any]
+    rows: Records
+    gains: Records
     slower: "GaitField | None" = None
     passages: tuple[Passage, Passage] | None = None
 
@@ -254,7 +253,7 @@ def _made(
 ) -> dict[str, Array]:
     """Rows and gains of all gaits, as bytes."""
     jobs = [(source, clip, velocity) for velocity in grid.velocities()]
-    made: dict[int, tuple[NDArray[Any], NDArray[Any]]] = {}
+    made: dict[int, tuple[Records, Records]] = {}
     for outcome in executor.run(make_gait, jobs):
         if outcome.error is not None:
             raise outcome.error
@@ -304,12 +303,12 @@ def _passage(
     return Passage(field, len(own), leave, arrive, before, after)
 
 
-def _anywhere(course: NDArray[Any], stand: NDArray[Any]) -> NDArray[Any]:
+def _anywhere(course: Records, stand: Records) -> Records:
     """The same (n,) at the 12 velocities of a passage, and last that of standing (1,) throughout."""
     return np.stack([*[course] * 12, np.repeat(stand, len(course))])
 
 
-def make_gait(job: tuple[str, Clip, Velocity], report: Report) -> tuple[NDArray[Any], NDArray[Any]]:
+def make_gait(job: tuple[str, Clip, Velocity], report: Report) -> tuple[Records, Records]:
     """The rows (t,) of `COURSE` and gains (g,) of `GAINS` of a robot's gait at a velocity, or at a lower one."""
     source, clip, wanted = job
     robot = load_robot(source)

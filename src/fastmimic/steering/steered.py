@@ -16,7 +16,6 @@ from itertools import pairwise, permutations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
@@ -57,7 +56,7 @@ class Steered:
         self.put(0.0, 0.0, 0.0)
 
     @property
-    def gains(self) -> NDArray[Any]:
+    def gains(self) -> Records:
         return self._gait.gains
 
     @property

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.deploy.dds.types import DECLARED, Message, described, fixed_size, structure
 
@@ -277,7 +278,7 @@ class Reader:
         self._infos = (SampleInfo * depth)()
         first = ctypes.addressof(self._memory)
         self._pointers = (ctypes.c_void_p * depth)(*(first + i * size for i in range(depth)))
-        self.samples: NDArray[Any] = np.frombuffer(memoryview(self._memory), np.dtype(message))
+        self.samples: Records = np.frombuffer(memoryview(self._memory), np.dtype(message))
         infos = np.frombuffer(memoryview(self._infos), np.dtype(SampleInfo))
         self.valid: NDArray[np.bool_] = infos["valid"]
         self.publication: NDArray[np.uint64] = infos["publication"]

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fastmimic.base.arrays import Records
 from fastmimic.base.errors import DriverError
 from fastmimic.base.rotations import roll_pitch_from_quat, yaw_from_quat
 from fastmimic.deploy.dds.cyclone import LOOPBACK, Participant, TextReader, Writer
@@ -67,7 +68,7 @@ def crc32(words: NDArray[np.uint32]) -> int:
 class CommandWire:
     """Converts command messages, `record` (n,) of `LowCommand`, in memory; writes only the first."""
 
-    def __init__(self, record: NDArray[Any]) -> None:
+    def __init__(self, record: Records) -> None:
         self.record = record
         motors = record["motor_cmd"]
         names = {"joint_pos": "q", "joint_vel": "dq", "stiffness": "kp", "damping": "kd", "torque": "tau"}
@@ -83,7 +84,7 @@ class CommandWire:
         motors = self.record["motor_cmd"]
         motors["mode"], motors["q"], motors["dq"] = SERVO, STOP_POSITION, STOP_VELOCITY
 
-    def write(self, command: NDArray[Any]) -> None:
+    def write(self, command: Records) -> None:
         """Puts (1,) of `COMMAND` into the first message, with its checksum."""
         for name, wire in self._fields:
             wire[0] = command[name][0]
@@ -99,7 +100,7 @@ class CommandWire:
             and all(bool(np.isfinite(wire[i]).all()) for _, wire in self._fields)
         )
 
-    def read(self, i: int, command: NDArray[Any]) -> None:
+    def read(self, i: int, command: Records) -> None:
         """Puts message i into (1,) of `COMMAND`; without a position or velocity the gain is 0."""
         for name, wire in self._fields:
             command[name][0] = wire[i]
@@ -114,7 +115,7 @@ class CommandWire:
 class StateWire:
     """Converts state messages, `record` (n,) of `LowState`, in memory; writes only the first."""
 
-    def __init__(self, record: NDArray[Any]) -> None:
+    def __init__(self, record: Records) -> None:
         self.record = record
         imu, motors = record["imu_state"], record["motor_state"]
         of_imu = {"quat": "quaternion", "gyro": "gyroscope", "accel": "accelerometer"}
@@ -138,7 +139,7 @@ class StateWire:
         self.record["temperature_ntc1"], self.record["temperature_ntc2"] = 40, 40
         self.record["power_v"], self.record["power_a"] = 31.2, 2.5
 
-    def write(self, reading: NDArray[Any], tick: int) -> None:
+    def write(self, reading: Records, tick: int) -> None:
         """Puts (1,) of `READING` into the first message, with its tick (ms) and checksum."""
         for name, wire in self._fields:
             wire[0] = reading[name][0]
@@ -148,7 +149,7 @@ class StateWire:
         self._ticks[0] = tick & 0xFFFFFFFF
         self._words[0, -1] = crc32(self._words[0])
 
-    def read(self, i: int, reading: NDArray[Any]) -> "Received":
+    def read(self, i: int, reading: Records) -> "Received":
         """Puts message i into (1,) of `READING`; returns what the checks need."""
         for name, wire in self._fields:
             reading[name][0] = wire[i]
