@@ -12,11 +12,11 @@ from fastmimic.base.rotations import quat_from_rotvec, quat_multiply, quat_rotat
 from fastmimic.deploy.deployment import Deployment
 from fastmimic.deploy.driver import StateMessage
 from fastmimic.deploy.plausibility import Senses
-from fastmimic.deploy.safety import SafetyLimits, StopReason
+from fastmimic.deploy.safety import Guard, SafetyLimits, StopReason
 from fastmimic.deploy.sim import SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
 from fastmimic.robot import Robot
-from fastmimic.robot.state import READING
+from fastmimic.robot.state import COMMAND, READING
 from fastmimic.simulation.conditions import Conditions
 
 Tamper = Callable[[Any], None]  # changes a reading of `READING` in place
@@ -48,6 +48,13 @@ def stuck(*fields: str, at: Any = slice(None)) -> Tamper:
 def scaled(field: str, factor: float) -> Tamper:
     def tamper(reading: Any) -> None:
         reading[field] *= factor
+
+    return tamper
+
+
+def shifted(field: str, value: float, at: int) -> Tamper:
+    def tamper(reading: Any) -> None:
+        reading[field][at] += value
 
     return tamper
 
@@ -100,6 +107,7 @@ WHILE = {
     "a hip frozen": (stuck("joint_pos", "joint_vel", at=4), StopReason.JOINT_SENSOR),
     "joint speeds of the other sign": (scaled("joint_vel", -1.0), StopReason.JOINT_SENSOR),
     "torques dead": (scaled("torque", 0.0), StopReason.TORQUE_SENSOR),
+    "an angle that jumps": (shifted("joint_pos", 0.3, 5), StopReason.JOINT_SENSOR),
 }
 
 
@@ -129,14 +137,58 @@ def tilt(done: Deployment) -> Any:
     return np.arccos(1.0 - 2.0 * (x * x + y * y))
 
 
-@pytest.mark.nojit
-def test_a_reading_that_is_late_is_not_a_sensor_that_stands_still() -> None:
-    limits, reading = SafetyLimits(), np.zeros(1, READING)
+def tremble(reading: Any) -> None:
+    """Sensors that work never say the same twice."""
+    for name in ("quat", "gyro", "accel", "joint_vel"):
+        reading[name] += 1e-9
+
+
+def senses(robot: Robot) -> tuple[Senses, Any, Any]:
+    """Of a robot whose sensors and motors say what they should: also a reading and a command."""
+    reading, command = np.zeros(1, READING), np.zeros(1, COMMAND)
     reading["quat"], reading["accel"] = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 9.81)
+    return Guard(robot, SafetyLimits.of(robot), 500.0).senses, reading, command
+
+
+@pytest.mark.nojit
+def test_a_reading_that_is_late_is_not_a_sensor_that_stands_still(a1: Robot) -> None:
     for elapsed_s in (0.0, 0.002):
-        senses = Senses(limits.sensors_turn, limits.sensors_gravity, limits.sensors_slip, limits.sensors_frozen)
-        found = [senses.check(reading, np.full(12, 0.02 * i), elapsed_s) for i in range(50)]
+        compared, reading, command = senses(a1)
+        found = []
+        for i in range(50):
+            command["joint_pos"] = 0.02 * i
+            found.append(compared.check(reading, command, elapsed_s))
         assert any(found) == (elapsed_s > 0.0)
+
+
+@pytest.mark.nojit
+def test_an_angle_that_jumps_is_doubted_at_once(a1: Robot) -> None:
+    compared, reading, command = senses(a1)
+    reading["joint_vel"][0, 5], found = 2.0, []
+    for i in range(300):
+        tremble(reading)
+        reading["joint_pos"][0, 5] = 0.004 * i + 0.3 * (i >= 250)
+        found.append(compared.check(reading, command, 0.002))
+    assert not any(found[:250])
+    assert found[250] == ("joint_sensor", "FL_knee: angle and speed differ by 0.30 rad; 0.25 are allowed")
+
+
+@pytest.mark.nojit
+@pytest.mark.parametrize(("share", "speed", "doubted"), [(0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.5, False)])
+def test_a_motor_that_gives_no_torque(share: float, speed: float, doubted: bool, a1: Robot) -> None:
+    """Weak motors are lived with, and at speed a motor may have no torque left."""
+    compared, reading, command = senses(a1)
+    found = []
+    for i in range(300):
+        given = 1.0 if i < 100 else share
+        command["torque"][0, 4], reading["torque"][0, 4] = 10.0, 10.0 * given
+        reading["joint_vel"][0, 4] = speed * a1.joint_speed_limit[4] * (i >= 100)
+        reading["joint_pos"][0, 4] += 0.002 * reading["joint_vel"][0, 4]
+        tremble(reading)
+        found.append(compared.check(reading, command, 0.002))
+    assert not any(found[:150])
+    assert any(found) == doubted
+    assert not doubted or found[-1] == ("torque_sensor", "FL_hip: its motor gives nothing of the torque commanded")
 
 
 @pytest.mark.slow

@@ -25,6 +25,9 @@ LEAN_S: Final = 1.8
 _TURN_S, _SLIP_S, _GRAVITY_S = 2.0, 0.2, 0.5  # time constants in which differences are forgotten
 _UNTIMELY: Final = 0.3  # share of a joint's movement that angle and speed may differ by: states arrive irregularly
 _GAP_S: Final = 0.01  # after a longer gap between two states, what happened meanwhile is not judged
+_MOTOR_S, _GIVES, _ASKED, _SLOW = 0.1, 0.08, 0.1, 0.3
+"""A motor is dead if its mean torque over a time, s, is below a share of what was commanded, and that above a share of
+its limit; judged below a share of the speed limit only, above which a motor may have no torque left."""
 _STILL: Final = 10  # readings of the same bits in a row; an IMU of 100 Hz gives five
 _IMU_WORDS: Final = "orientation", "gyroscope", "accelerometer"
 _LEAST_MOVE: Final = 0.01  # rad, root mean square; a joint that moves less in the lean tells nothing
@@ -38,12 +41,15 @@ Doubt = tuple[str, str]  # what cannot be believed (`IMU`, `JOINT` or `TORQUE`),
 
 
 _SUMS: Final = record_dtype(
-    [*floats(turn=3, slip=12, path=12, beyond=12, accel=3, joints_then=(15, 12), wanted_then=12), *integers(still=15)]
+    [
+        *floats(turn=3, slip=12, path=12, beyond=12, accel=3, joints_then=(15, 12), wanted_then=12, asked=12, given=12),
+        *integers(still=15),
+    ]
 )
 """What readings add up to: the orientation's turn beyond the gyroscope's, rad; of each joint, its angle beyond its
-speed's integral, its way, and the former beyond a share of the latter, rad; the mean acceleration in the world, m/s².
-Of 15 readings, the IMU's three and by joint: for how many in a row it has had the same bits, and the joints and its
-joint's command when it last changed, rad."""
+speed's integral, its way, and the former beyond a share of the latter, rad; the mean acceleration in the world, m/s²;
+the mean torques commanded and given, shares of the limit. Of 15 readings, the IMU's three and by joint: for how many in
+a row it has had the same bits, and the joints and its joint's command when it last changed, rad."""
 
 
 @inlined
@@ -56,10 +62,12 @@ def _small_turn(before: Any, after: Any) -> tuple[float, float, float]:
 
 
 @kernel
-def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: Any, elapsed_s: float) -> None:
+def _compare(
+    sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, commands: Any, limits: Any, elapsed_s: float
+) -> None:
     """Adds up what the sensors say differently in a reading (1,) of `READING` and the last one, and their bits; to the
-    first reading `elapsed_s` is infinite."""
-    s, now, last, first = sums[0], nows[0], lasts[0], math.isinf(elapsed_s)
+    first reading `elapsed_s` is infinite. `limits` (2, 12) are of torque, N·m, and of speed, rad/s."""
+    s, now, last, command, first = sums[0], nows[0], lasts[0], commands[0], math.isinf(elapsed_s)
     half = 0.0 if first else 0.5 * elapsed_s
     for i in range(15):
         same = not first
@@ -69,13 +77,14 @@ def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: A
         else:
             j = i - 3
             same = same and now.joint_pos[j] == last.joint_pos[j] and now.joint_vel[j] == last.joint_vel[j]
-            s.wanted_then[j] = s.wanted_then[j] if same else wanted[j]
+            s.wanted_then[j] = s.wanted_then[j] if same else command.joint_pos[j]
         s.still[i] = s.still[i] + 1 if same else 0
         for k in range(0 if same else 12):
             s.joints_then[i, k] = now.joint_pos[k]
     if not (first or 0.0 < elapsed_s <= _GAP_S):
         return
     turn, slip, mean = math.exp(-elapsed_s / _TURN_S), math.exp(-elapsed_s / _SLIP_S), math.exp(-elapsed_s / _GRAVITY_S)
+    motor = math.exp(-elapsed_s / _MOTOR_S)
     told, turned = quat_turned(now.quat, now.accel), _small_turn(last.quat, now.quat)
     for k in range(3):
         s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
@@ -84,35 +93,54 @@ def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, wanted: A
         went, moved = half * (last.joint_vel[j] + now.joint_vel[j]), now.joint_pos[j] - last.joint_pos[j]
         s.slip[j] = slip * (s.slip[j] + moved - went)
         s.path[j] = slip * (s.path[j] + max(abs(moved), abs(went)))
-        s.beyond[j] = abs(s.slip[j]) - _UNTIMELY * s.path[j]
+        s.beyond[j] = max(abs(s.slip[j]) - _UNTIMELY * s.path[j], abs(moved - went))
+        if abs(now.joint_vel[j]) < _SLOW * limits[1, j]:
+            asked = command.torque[j] + command.stiffness[j] * (command.joint_pos[j] - now.joint_pos[j])
+            asked += command.damping[j] * (command.joint_vel[j] - now.joint_vel[j])
+            asked = min(abs(asked), abs(command.torque[j]))  # a late state spoils what the stiffness asks for
+            s.asked[j] = motor * s.asked[j] + (1.0 - motor) * asked / limits[0, j]
+            s.given[j] = motor * s.given[j] + (1.0 - motor) * abs(now.torque[j]) / limits[0, j]
 
 
 class Senses:
     """Compares the sensors of one robot with each other, period by period."""
 
-    def __init__(self, turn: float, gravity: float, slip: float, frozen: float) -> None:
+    def __init__(self, turn: float, gravity: float, slip: float, frozen: float, motors: Array) -> None:
         """`turn`: of the orientation beyond the gyroscope's, rad; `gravity`: of the mean acceleration beyond gravity, a
         share of it; `slip`: of a joint's angle beyond its speed's integral and a share of its way, rad; `frozen`: of
-        other joints while an IMU's reading stands still, or of a joint's leg or command while the joint's does, rad."""
+        other joints while an IMU's reading stands still, or of a joint's leg or command while the joint's does, rad;
+        `motors` (2, 12): greatest torque, N·m, infinite if motors are not judged, and speed, rad/s."""
+        self._motors = motors
         self._turn_limit, self._gravity_limit, self._slip_limit, self._frozen = turn, gravity, slip, frozen
         self.reset()
 
     def reset(self) -> None:
         self._last: Records | None = None
         self._sums = np.zeros(1, _SUMS)
-        self._turn, _, _, self._beyond, self._mean, self._joints_then, self._wanted_then, self._still = (
-            self._sums[name][0] for name in _SUMS.names or ()
-        )
+        (
+            self._turn,
+            _,
+            _,
+            self._beyond,
+            self._mean,
+            self._joints_then,
+            self._wanted_then,
+            self._asked,
+            self._given,
+            self._still,
+        ) = (self._sums[name][0] for name in _SUMS.names or ())
 
-    def check(self, reading: Records, wanted: Array, elapsed_s: float) -> Doubt | None:
+    def check(self, reading: Records, command: Records, elapsed_s: float) -> Doubt | None:
         """What is wrong with a reading (1,) of `READING`, None if it fits. It came `elapsed_s` after the last one, 0 if
-        it is that. `wanted` (12,) are the joint angles of the last command, rad."""
+        it is that. `command` (1,) of `COMMAND` is the last one."""
         if self._last is not None and elapsed_s == 0.0:
             return None
         last, elapsed_s = (reading, math.inf) if self._last is None else (self._last, elapsed_s)
-        _compare(self._sums, reading, last, reading.view(np.int64), last.view(np.int64), wanted, elapsed_s)
+        _compare(
+            self._sums, reading, last, reading.view(np.int64), last.view(np.int64), command, self._motors, elapsed_s
+        )
         self._last = reading.copy()
-        return self._frozen_sensor(reading[0], wanted) or self._contradiction()
+        return self._frozen_sensor(reading[0], command["joint_pos"][0]) or self._contradiction()
 
     def _frozen_sensor(self, now: Any, wanted: Array) -> Doubt | None:
         """A sensor that gives the same bits while others, or the command, say that something moves."""
@@ -143,6 +171,9 @@ class Senses:
         if beyond > self._slip_limit:
             said = f"angle and speed differ by {beyond:.2f} rad; {self._slip_limit:g} are allowed"
             return JOINT, f"{JOINT_NAMES[int(np.argmax(self._beyond))]}: {said}"
+        dead = (self._asked > _ASKED) & (self._given < _GIVES * self._asked)
+        if dead.any():
+            return TORQUE, f"{JOINT_NAMES[int(np.argmax(dead))]}: its motor gives nothing of the torque commanded"
         return None
 
 

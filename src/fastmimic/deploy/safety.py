@@ -230,7 +230,9 @@ class Guard:
         self._record["dt"] = 1.0 / rate_hz
         pack(limits, self._record)
         self._strained = np.zeros(12)
-        self.senses = Senses(limits.sensors_turn, limits.sensors_gravity, limits.sensors_slip, limits.sensors_frozen)
+        motors = np.stack([np.full(12, np.inf) if dry else robot.torque_limit, robot.joint_speed_limit])
+        allowed = limits.sensors_turn, limits.sensors_gravity, limits.sensors_slip, limits.sensors_frozen
+        self.senses = Senses(*allowed, motors)
         self._upright, self._still = np.zeros(1, SAMPLE), np.zeros(1, CLOCK)
         self._upright["root_quat"] = 1.0, 0.0, 0.0, 0.0
         self.cut = 0

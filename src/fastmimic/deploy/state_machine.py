@@ -172,7 +172,7 @@ class StateMachine:
     def _check(self, reading: Records, elapsed_s: float, *reference: Any) -> Violation | None:
         """A limit that a state is beyond, or sensors that contradict each other, who also tell its tilt."""
         limit = self.guard.check_state(reading, *reference)
-        doubt = self.guard.check_doubt(self.guard.senses.check(reading, self._last["joint_pos"][0], elapsed_s))
+        doubt = self.guard.check_doubt(self.guard.senses.check(reading, self._last, elapsed_s))
         return doubt or limit if limit is None or limit.reason is StopReason.TILT else limit
 
     def _follow(self) -> Records:
