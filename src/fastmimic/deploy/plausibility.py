@@ -25,9 +25,8 @@ LEAN_S: Final = 1.8
 _TURN_S, _SLIP_S, _GRAVITY_S = 2.0, 0.2, 0.5  # time constants in which differences are forgotten
 _UNTIMELY: Final = 0.3  # share of a joint's movement that angle and speed may differ by: states arrive irregularly
 _GAP_S: Final = 0.01  # after a longer gap between two states, what happened meanwhile is not judged
-_MOTOR_S, _GIVES, _ASKED, _SLOW = 0.1, 0.08, 0.1, 0.3
-"""A motor is dead if its mean torque over a time, s, is below a share of what was commanded, and that above a share of
-its limit; judged below a share of the speed limit only, above which a motor may have no torque left."""
+_MOTOR_S, _GIVES, _ASKED = 0.1, 0.08, 0.1  # a mean torque over this time, shares of the commanded one, and of its limit
+_SLOW: Final = 0.3  # share of a joint's speed limit, beyond which its motor may have no torque left
 _STILL: Final = 10  # readings of the same bits in a row; an IMU of 100 Hz gives five
 _IMU_WORDS: Final = "orientation", "gyroscope", "accelerometer"
 _LEAST_MOVE: Final = 0.01  # rad, root mean square; a joint that moves less in the lean tells nothing
@@ -40,12 +39,8 @@ _AXES: Final = "roll", "pitch", "yaw"
 Doubt = tuple[str, str]  # what cannot be believed (`IMU`, `JOINT` or `TORQUE`), and a line that says why
 
 
-_SUMS: Final = record_dtype(
-    [
-        *floats(turn=3, slip=12, path=12, beyond=12, accel=3, joints_then=(15, 12), wanted_then=12, asked=12, given=12),
-        *integers(still=15),
-    ]
-)
+_JOINT_SUMS: Final = dict.fromkeys(("slip", "path", "beyond", "wanted_then", "asked", "given"), 12)
+_SUMS: Final = record_dtype([*floats(turn=3, **_JOINT_SUMS, accel=3, joints_then=(15, 12)), *integers(still=15)])
 """What readings add up to: the orientation's turn beyond the gyroscope's, rad; of each joint, its angle beyond its
 speed's integral, its way, and the former beyond a share of the latter, rad; the mean acceleration in the world, m/s²;
 the mean torques commanded and given, shares of the limit. Of 15 readings, the IMU's three and by joint: for how many in
@@ -62,13 +57,11 @@ def _small_turn(before: Any, after: Any) -> tuple[float, float, float]:
 
 
 @kernel
-def _compare(
-    sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, commands: Any, limits: Any, elapsed_s: float
-) -> None:
+def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, commands: Any, limits: Any, dt: float) -> None:
     """Adds up what the sensors say differently in a reading (1,) of `READING` and the last one, and their bits; to the
-    first reading `elapsed_s` is infinite. `limits` (2, 12) are of torque, N·m, and of speed, rad/s."""
-    s, now, last, command, first = sums[0], nows[0], lasts[0], commands[0], math.isinf(elapsed_s)
-    half = 0.0 if first else 0.5 * elapsed_s
+    first reading `dt`, the time since the last one, s, is infinite. `limits` (2, 12): torque, N·m, and speed, rad/s."""
+    s, now, last, command, first = sums[0], nows[0], lasts[0], commands[0], math.isinf(dt)
+    half = 0.0 if first else 0.5 * dt
     for i in range(15):
         same = not first
         if i < 3:
@@ -81,10 +74,10 @@ def _compare(
         s.still[i] = s.still[i] + 1 if same else 0
         for k in range(0 if same else 12):
             s.joints_then[i, k] = now.joint_pos[k]
-    if not (first or 0.0 < elapsed_s <= _GAP_S):
+    if not (first or 0.0 < dt <= _GAP_S):
         return
-    turn, slip, mean = math.exp(-elapsed_s / _TURN_S), math.exp(-elapsed_s / _SLIP_S), math.exp(-elapsed_s / _GRAVITY_S)
-    motor = math.exp(-elapsed_s / _MOTOR_S)
+    turn, slip, mean = math.exp(-dt / _TURN_S), math.exp(-dt / _SLIP_S), math.exp(-dt / _GRAVITY_S)
+    motor = math.exp(-dt / _MOTOR_S)
     told, turned = quat_turned(now.quat, now.accel), _small_turn(last.quat, now.quat)
     for k in range(3):
         s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
@@ -117,18 +110,10 @@ class Senses:
     def reset(self) -> None:
         self._last: Records | None = None
         self._sums = np.zeros(1, _SUMS)
-        (
-            self._turn,
-            _,
-            _,
-            self._beyond,
-            self._mean,
-            self._joints_then,
-            self._wanted_then,
-            self._asked,
-            self._given,
-            self._still,
-        ) = (self._sums[name][0] for name in _SUMS.names or ())
+        of = {name: self._sums[name][0] for name in _SUMS.names or ()}
+        self._turn, self._beyond, self._mean, self._still = of["turn"], of["beyond"], of["accel"], of["still"]
+        self._asked, self._given = of["asked"], of["given"]
+        self._joints_then, self._wanted_then = of["joints_then"], of["wanted_then"]
 
     def check(self, reading: Records, command: Records, elapsed_s: float) -> Doubt | None:
         """What is wrong with a reading (1,) of `READING`, None if it fits. It came `elapsed_s` after the last one, 0 if
@@ -136,9 +121,8 @@ class Senses:
         if self._last is not None and elapsed_s == 0.0:
             return None
         last, elapsed_s = (reading, math.inf) if self._last is None else (self._last, elapsed_s)
-        _compare(
-            self._sums, reading, last, reading.view(np.int64), last.view(np.int64), command, self._motors, elapsed_s
-        )
+        bits = reading.view(np.int64), last.view(np.int64)
+        _compare(self._sums, reading, last, *bits, command, self._motors, elapsed_s)
         self._last = reading.copy()
         return self._frozen_sensor(reading[0], command["joint_pos"][0]) or self._contradiction()
 
@@ -244,11 +228,7 @@ class LoadCheck:
     """Whether the torques of the legs bear the robot's weight on average, as it moves."""
 
     def __init__(self, robot: Robot) -> None:
-        self._weight = robot.mass * GRAVITY
-        self.reset()
-
-    def reset(self) -> None:
-        self._mean = 1.0
+        self._weight, self._mean = robot.mass * GRAVITY, 1.0
 
     def check(self, load: float, dt: float) -> Doubt | None:
         """Takes in what the legs bear, N; NaN if that is not known."""
@@ -265,10 +245,8 @@ def _load_doubt(share: float, limits: tuple[float, float]) -> Doubt | None:
 
 
 def _ground_doubt(angle: float, limit: float) -> Doubt | None:
-    if angle <= limit:
-        return None
     said = f"the IMU's level and the plane of the feet are {angle:.2f} rad apart; {limit:g} are allowed"
-    return IMU, f"{said}: a slope, or an IMU that is turned?"
+    return None if angle <= limit else (IMU, f"{said}: a slope, or an IMU that is turned?")
 
 
 def _moved(values: Array) -> Array:

@@ -277,7 +277,7 @@ class StateMachine:
     def _start_estimating(self, reading: Records) -> None:
         """Starts the estimator with the robot at the world's origin, facing x."""
         self.estimator.reset(reading, np.zeros(1, START), _LEGS)
-        self._load.reset()
+        self._load = LoadCheck(self.robot)
         self._estimating = True
 
     def _start_following(self) -> None:
