@@ -119,7 +119,7 @@ def once(when: Callable[[StateMachine], bool], act: Callable[[StateMachine], Non
 
 
 def assert_damped(rig: Rig, limits: SafetyLimits | None = None) -> None:
-    """The last commands are mere damping, and the robot lies still."""
+    """The last commands are mere damping, and the robot lies, its legs still giving way slowly at most."""
     limits = limits if limits is not None else SafetyLimits()
     last = rig.driver.written[-1]
     for name in ("joint_vel", "stiffness", "torque"):
@@ -127,4 +127,4 @@ def assert_damped(rig: Rig, limits: SafetyLimits | None = None) -> None:
     np.testing.assert_array_equal(last["damping"], limits.damping)
     truth = rig.sim.body.observation[0]
     assert truth["root_pos"][2] < 0.17, "m; it stands at 0.28"
-    assert np.abs(truth["joint_vel"]).max() < 1.0
+    assert np.abs(truth["joint_vel"]).max() < 1.5, "rad/s"

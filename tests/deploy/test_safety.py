@@ -6,6 +6,7 @@ import runpy
 import signal
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -117,9 +118,15 @@ def test_a_robot_that_is_tipped_over(stands: Rig) -> None:
 
 
 def test_a_base_that_sinks(stands: Rig) -> None:
-    """The legs fold under it: the motors of a real robot may lose their power."""
+    """The legs fold under it: the motors of a real robot may lose their power, and still tell what was commanded."""
 
     def weaken(machine: StateMachine) -> None:
+        def change(state: StateMessage) -> StateMessage:
+            reading, command = state.reading.copy(), machine._last
+            reading["torque"] = command["torque"]
+            return replace(state, reading=reading)
+
+        stands.driver.change = change
         stands.sim.body._last["stiffness"] = 0.0
         stands.sim._commands.send = lambda *_: None  # no command arrives any more
         stands.sim.body._commanded = 10**9  # and its watchdog does not mind

@@ -136,7 +136,7 @@ class RobotDriver(ABC):
         self.close()
 
 
-def damping_command(damping: float = 3.0) -> Records:
+def damping_command(damping: float = 2.2) -> Records:
     """(1,) of `COMMAND`: `damping` N·m·s/rad on every joint and nothing else: the robot sinks to the ground."""
     command = np.zeros(1, COMMAND)
     command["damping"] = damping

@@ -54,7 +54,7 @@ class SafetyLimits:
     stiffness_most: float = 300.0
     damping_most: float = 20.0
     crouch_s: float = 0.4
-    damping: float = 3.0
+    damping: float = 2.2
     damping_s: float = 1.5
 
     def __post_init__(self) -> None:
