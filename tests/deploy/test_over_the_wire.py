@@ -33,12 +33,13 @@ NO_LEAN = ("--limit", "lean=0")
 
 
 class Sim:
-    """A robot in a process of its own."""
+    """A robot in a process of its own, whose foot sensors read 0, as those of Unitree's public simulator do."""
 
     def __init__(self, folder: Path) -> None:
         self.domain = free_domain()
         self.truth = folder / "truth.mcap"
         options = ["--domain", str(self.domain), "--watchdog-ms", "300", "--json", "--log", str(self.truth)]
+        options += ["--disturb", "foot-force-scale=0"]
         self._process = fastmimic("robot-sim", *options, cwd=folder)
 
     def end(self) -> dict[str, Any]:
