@@ -1,6 +1,6 @@
 """How searches choose their result in tests: quickly.
 
-python tests/searches.py EXAMPLE.py [ARGUMENTS]      runs an example with short searches
+python tests/searches.py EXAMPLE.py [ARGUMENTS]      runs an example, or a notebook, with short searches
 """
 
 import inspect
@@ -42,7 +42,21 @@ def _shortly(search: Callable[..., Any], *sources: Any, **options: Any) -> Any:
     return search(*sources, **(options | {"iterations": 2, "population": 4, "choice": QUICK_CHOICE}))
 
 
+def run_notebook(file: str) -> None:
+    """Executes a notebook's cells, the first one of which is this module's."""
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(file, as_version=4)
+    first = f"import sys\nsys.path.insert(0, {sys.path[0]!r})\nimport searches\nsearches.shorten()"
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(first))
+    NotebookClient(notebook, timeout=None, kernel_name="python3").execute()
+
+
 if __name__ == "__main__":
-    shorten()
     del sys.argv[0]
-    runpy.run_path(sys.argv[0], run_name="__main__")
+    if sys.argv[0].endswith(".ipynb"):
+        run_notebook(sys.argv[0])
+    else:
+        shorten()
+        runpy.run_path(sys.argv[0], run_name="__main__")
