@@ -2,7 +2,8 @@
 
     python benchmarks/unitree_mujoco.py --simulator unitree_mujoco --sdk unitree_sdk2_python
                                         [--steps-ms 1 2 5] [--runs 10] [--at-once 1] [--seconds 60]
-                                        [--motion trot] [--out runs/unitree_mujoco] [--json]
+                                        [--motion trot] [--motion steer --commands way.csv]
+                                        [--out runs/unitree_mujoco] [--json]
 
 `--simulator` and `--sdk` are clones of github.com/unitreerobotics/unitree_mujoco and unitree_sdk2_python. Their Python
 simulator runs unchanged, with the time step that `--steps-ms` names, on a flat floor, without its window and gamepad.
@@ -95,6 +96,7 @@ def run(given: argparse.Namespace, step_ms: float, number: int, domain: int) -> 
             time.sleep(8.0)  # loading, and falling to the floor
             deploy = [sys.executable, "-m", "fastmimic", "deploy", given.motion, "--robot", "go2", "--driver", "go2"]
             deploy += ["--domain", str(domain), "--duration", str(given.seconds), "--yes", "--json"]
+            deploy += ["--commands", str(given.commands)] if given.commands else []
             deploy += ["--out", str(folder / f"deploy-{time.time():.0f}")]
             done = subprocess.run(deploy, capture_output=True, text=True, env=ENVIRONMENT, check=False)
         finally:
@@ -104,7 +106,7 @@ def run(given: argparse.Namespace, step_ms: float, number: int, domain: int) -> 
             except subprocess.TimeoutExpired:
                 simulator.kill()
     account = json.loads(done.stdout) if done.stdout else {"error": done.stderr.strip().splitlines()[-1:]}
-    kept = ("stopped_by", "why", "fell", "duration_s", "travelled_m", "error")
+    kept = ("stopped_by", "why", "fell", "duration_s", "travelled_m", "velocity_error_m_s", "error")
     found: dict[str, Any] = {"step_ms": step_ms, "run": number, "rc": done.returncode}
     found |= {key: account[key] for key in kept if key in account}
     found["simulator"] = json.loads(truth.read_text()) if truth.exists() else None
@@ -137,11 +139,13 @@ def main() -> None:
     parser.add_argument("--at-once", type=int, default=1, help="each takes two to three cores")
     parser.add_argument("--seconds", type=float, default=60.0, help="in the motion itself")
     parser.add_argument("--motion", default="trot")
+    parser.add_argument("--commands", type=Path, help="velocities, for the motion 'steer'")
     parser.add_argument("--out", type=Path, default=Path("runs/unitree_mujoco"))
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--serve", nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
     given.simulator, given.sdk, given.out = given.simulator.resolve(), given.sdk.resolve(), given.out.resolve()
+    given.commands = given.commands and given.commands.resolve()
     if given.serve:
         simulate(given.simulator, given.sdk, float(given.serve[0]), int(given.serve[1]), Path(given.serve[2]))
         return
