@@ -5,6 +5,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -141,3 +142,25 @@ def test_fields_of_a_record_by_name_and_shape() -> None:
     found = record_dtype([*floats(one=(), three=3, matrix=(2, 4)), *integers(count=(), feet=4)])
     explicit = [("one", "f8"), ("three", "f8", (3,)), ("matrix", "f8", (2, 4)), ("count", "i8"), ("feet", "i8", (4,))]
     assert found == record_dtype(explicit)
+
+
+def test_kernels_are_compiled_and_not_kept_where_no_folder_can_be_written(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As Numba says it where neither the user's folder nor the package's can be written."""
+    import numba
+
+    njit = numba.njit
+
+    def without_folder(**options: Any) -> Any:
+        if options["cache"]:
+            raise RuntimeError("cannot cache function 'doubled': no locator available for file")
+        return njit(**options)
+
+    monkeypatch.setattr(numba, "njit", without_folder)
+
+    @kernel
+    def doubled(value: float) -> float:
+        return 2.0 * value
+
+    assert doubled(3.0) == 6.0

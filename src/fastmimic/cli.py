@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import re
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module, resources
@@ -15,6 +16,7 @@ from typing import Any, Final, NamedTuple, NoReturn
 from fastmimic import __version__
 from fastmimic.base.errors import FastMimicError
 from fastmimic.base.registry import load_extensions
+from fastmimic.base.signals import on_signal
 from fastmimic.commands.console import EXIT_INTERRUPTED
 
 EXIT_ERROR: Final = 2
@@ -57,20 +59,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # for terminals without, say, an arrow
+    interrupts: list[int] = []
+
+    def interrupted(number: int, frame: object) -> NoReturn:
+        interrupts.append(number)
+        raise KeyboardInterrupt
+
     try:
-        status = _dispatch(arguments)
+        with on_signal(interrupted, signal.SIGINT):
+            status = _dispatch(arguments)
         sys.stdout.flush()
     except FastMimicError as error:
         return _fail(" ".join(str(error).split()))
     except MemoryError:
         return _fail("not enough memory; ask for less (--duration, --episodes, --population, --size)")
-    except KeyboardInterrupt:
-        _say("interrupted")
-        return EXIT_INTERRUPTED
     except BrokenPipeError:
         # Python flushes stdout once more at exit, which must not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
+    except (KeyboardInterrupt, Exception) as error:
+        if not (interrupts or isinstance(error, KeyboardInterrupt)):
+            raise
+        _say("interrupted")  # whatever a library made of it
+        return EXIT_INTERRUPTED
     return status
 
 

@@ -16,7 +16,8 @@ from fastmimic.reference.standing import standing
 from fastmimic.reference.table import GAIN_SAMPLES, SAMPLE
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
-from fastmimic.steering.gait_field import GaitField, Grid, gait_field, gaits_of
+from fastmimic.steering.gait import Gait, _rows_until
+from fastmimic.steering.gait_field import RATE_HZ, GaitField, Grid, gait_field, gaits_of
 from fastmimic.steering.steered import Steered
 
 
@@ -121,3 +122,23 @@ def test_a_gait_that_cannot_be_slow_has_passages_at_the_nearest_speeds(gaits: Ga
         np.testing.assert_allclose(rows["root_z"][passage.n - 1], after["root_z"][passage.arrive - 1], atol=2e-3)
         np.testing.assert_array_equal(rows[passage.n :], np.roll(after, -passage.arrive))
         assert passage.field.gains.shape[1] == -(-len(rows) // GAIN_SAMPLES)
+
+
+def gait_with(contact: list[tuple[int, int, int, int]]) -> Gait:
+    """What of a gait the change to another one depends on: which feet stand, for a tenth of a second each."""
+    stands = np.repeat(np.array(contact, bool), round(0.1 * RATE_HZ), axis=0)
+    made = object.__new__(Gait)
+    made.contact = stands
+    made._change_s = np.maximum(_rows_until(stands), _rows_until(~stands)) / RATE_HZ
+    made._since_s = np.maximum(_rows_until(stands[::-1]), _rows_until(~stands[::-1]))[::-1] / RATE_HZ
+    return made
+
+
+def test_a_pace_is_not_entered_from_a_trot_on_feet_that_are_in_the_air() -> None:
+    trot = gait_with([(1, 0, 0, 1), (0, 1, 1, 0)])
+    pace = gait_with([(1, 0, 1, 0), (0, 1, 0, 1)])
+    walking_trot = gait_with([(1, 1, 1, 1), (1, 0, 0, 1), (1, 1, 1, 1), (0, 1, 1, 0)])
+    assert (pace.rows_from(trot) < 0).all()
+    assert (trot.rows_from(pace) < 0).all()
+    assert (trot.rows_from(trot) >= 0).any()
+    assert (walking_trot.rows_from(trot) >= 0).any()

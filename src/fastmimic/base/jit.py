@@ -24,7 +24,10 @@ def kernel(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
     _collect_no_garbage_meanwhile()
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
     lean = {"no_cfunc_wrapper": True, "_nrt": False}  # neither function pointers nor reference counts: less to compile
-    return _stale_with_callees(njit(**options | lean | changed)(function))
+    try:
+        return _stale_with_callees(njit(**options | lean | changed)(function))
+    except RuntimeError:  # no folder that can be written: each start compiles anew
+        return njit(**options | lean | changed | {"cache": False})(function)
 
 
 inlined: Final = functools.partial(kernel, forceinline=True)

@@ -1,10 +1,8 @@
 """Output of the verbs: results on stdout."""
 
 import json
-import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 EXIT_INTERRUPTED: Final = 130  # as a shell reports SIGINT
@@ -33,14 +31,3 @@ def put_table(rows: Sequence[Sequence[str]], *, right: Sequence[int] = ()) -> No
         cells = zip(row, widths, strict=True)
         aligned = [cell.rjust(width) if i in right else cell.ljust(width) for i, (cell, width) in enumerate(cells)]
         put("  ".join(aligned).rstrip())
-
-
-@contextmanager
-def on_signal(handler: Any, *numbers: int) -> Iterator[None]:
-    """Signals are handled by `handler` within the block, as `signal.signal` takes it."""
-    before = [signal.signal(number, handler) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, earlier in zip(numbers, before, strict=True):
-            signal.signal(number, earlier)

@@ -4,6 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -165,7 +166,7 @@ class Stitch(SearchRun):
             raise ConfigError(f"{takes}; found {len(self.cycles)}")
         video = self.video.wanted
         self.check_search(self.method)
-        sources = [find_motion(motion) for motion in self.motions]
+        sources = list(map(cache(find_motion), self.motions))  # the same name is the same motion
         robot = opt.choose_robot(self.robot, *sources)
         names = "+".join(_name_of(source) for source in sources)
         with self.opened(robot, names, self.method, motion="+".join(self.motions)) as (folder, config):

@@ -14,8 +14,9 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.progress import note, slow_start
+from fastmimic.base.signals import on_signal
 from fastmimic.commands import options as opt
-from fastmimic.commands.console import EXIT_CUT_OFF, on_signal, put
+from fastmimic.commands.console import EXIT_CUT_OFF, put
 from fastmimic.commands.pictures import serve
 from fastmimic.commands.show import is_whole
 from fastmimic.control.config import ControllerConfig, controller_config

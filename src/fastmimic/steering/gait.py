@@ -50,7 +50,8 @@ class Gait:
         """For each row of another gait (m,) the row of this one to go over to; -1 where it is better to wait.
 
         The same feet should stand, and land and lift off as soon. A foot may lift off at that moment, if the other gait
-        has it do so just before; none lands, as it would land hard."""
+        has it do so just before; none lands, as it would land hard.
+        So a pace has no row to go over to from a trot."""
         before, after = other.contact[:, None] != 0, self.contact[None] != 0
         changes_s, changed_s, since_s = self._change_s[None], other._change_s[:, None], self._since_s[None]
         apart = changes_s - changed_s
@@ -59,7 +60,8 @@ class Gait:
         apart = np.where(~before & after, _NEVER, apart)
         cost = (apart**2).sum(axis=-1)
         least = cost.min(axis=1)
-        return np.where(least <= _NEARLY * least.min() + _SMALL, cost.argmin(axis=1), -1)
+        good = least < min(_NEARLY * least.min() + _SMALL, _NEVER**2)
+        return np.where(good, cost.argmin(axis=1), -1)
 
 
 def _rows_until(events: NDArray[np.bool_]) -> NDArray[np.int64]:

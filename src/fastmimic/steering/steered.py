@@ -132,6 +132,7 @@ class Steered:
         if gait is now:
             return
         if place["standing"] == 1:
+            place["wanted"] = 0.0
             if place["stands"] == 1.0:
                 self._gait = gait
                 put(*gait.given, place, *self._work)
@@ -141,6 +142,8 @@ class Steered:
             self._pass(gait, row)
         elif (other := self._ways[gait, now][row]) >= 0:
             self._go_over(gait, other)
+        elif (self._ways[gait, now] < 0).all() and not now.field.has(self._asked):
+            place["wanted"] = 0.0  # it comes to stand, and begins anew
 
     def _next_gait(self, now: Gait) -> Gait:
         """The first of the preferred gaits that can follow the present one, or standing."""

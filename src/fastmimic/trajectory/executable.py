@@ -95,7 +95,7 @@ class ExecutableFigures:
             f"executable: speed × {self.speed_share:.3f}; period {before:.4f} → {after:.4f} s; contact modes longer or"
             f" shorter by up to {1e3 * self.duration_s:.0f} ms",
             f"trunk changed by {', '.join(moved)} RMS",
-            f"greatest share of each limit, and the share of the time at it: {used}",
+            f"greatest share of each limit (friction: the coefficient), and of the time at it less a margin: {used}",
             *(f"exceeded between the nodes: {name}, {most:.2f} of it" for name, most in self.most.items() if most > 1),
             *([f"margins changed: {margins}"] if margins else []),
             *([f"falls all the same from {100 * self.fell:.0f} % of the perturbed starts"] * (self.fell > 0)),

@@ -94,11 +94,16 @@ def make_solver(
             "nlp_hess_l", first | {"lam_f": one, "lam_g": g}, {"triu_hess_gamma_x_x": (curves, hessian)}
         ),
     }
+    interrupts: list[int] = []
+
+    def stop(x: Array, f: Array, g: Array, lam_x: Array, lam_g: Array) -> bool:
+        return bool(interrupts) or bool(np.abs(lam_g).max() > _MOST_MULTIPLIER)
+
     sizes = {"x": x, "f": one, "lam_x": x, "g": g, "lam_g": g}
     watch = _computed(
         "diverging",
         {name: sizes.get(name, ca.Sparsity(0, 0)) for name in ca.nlpsol_out()},
-        {"stop": (one, lambda x, f, g, lam_x, lam_g: np.abs(lam_g).max() > _MOST_MULTIPLIER)},
+        {"stop": (one, stop)},
     )
     options = {
         **computed,
@@ -121,7 +126,7 @@ def make_solver(
         "iteration_callback": watch,
     }
     solver = ca.nlpsol("nearest", "ipopt", {"x": w, "f": cost, "g": rows}, options)
-    solver.calls_back = watch, computed  # the solver itself does not keep them alive
+    solver.calls_back, solver.interrupts = (watch, computed), interrupts  # the solver itself keeps none alive
     return solver, (low[selected], high[selected])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fastmimic.base.arrays import Array
+from fastmimic.base.signals import interrupts_kept
 from fastmimic.trajectory.costs import quadratic_costs
 from fastmimic.trajectory.ipopt import make_solver
 from fastmimic.trajectory.node import ROWS
@@ -80,7 +81,8 @@ def _answer(
     solver, (least, most) = make_solver(
         problem.functions, index, given[nodes], within, (smooth, wanted), problem.config
     )
-    answer = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
+    with interrupts_kept(solver.interrupts):
+        answer = solver(x0=first, lbx=low, ubx=high, lbg=least, ubg=most)
     stats, w = solver.stats(), start.copy()
     w[used] = np.array(answer["x"]).ravel()
     found = {

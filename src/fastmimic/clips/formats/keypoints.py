@@ -230,6 +230,7 @@ class _Labels(pickle.Unpickler):
 
 _KEY: Final = 0x50  # second byte of every C3D
 _BLOCK: Final = 512
+_PROCESSORS: Final = (84, 85, 86)  # that a C3D may be of
 _UNITS: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
@@ -249,6 +250,7 @@ def read_c3d(data: bytes) -> Tracks:
 
 
 def is_c3d(content: Content) -> bool:
-    """Whether a binary file begins like a C3D."""
+    """Whether a binary file begins like a C3D, and its parameters name a processor."""
     data = content.data
-    return not content.text and len(data) > 1 and data[1] == _KEY and 1 < data[0] < len(data) // _BLOCK + 2
+    parameters = _BLOCK * (data[0] - 1) + 3 if len(data) > 1 else 0
+    return not content.text and 0 < parameters < len(data) and data[1] == _KEY and data[parameters] in _PROCESSORS
