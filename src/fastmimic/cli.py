@@ -7,7 +7,6 @@ import json
 import logging
 import os
 import re
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import import_module, resources
@@ -16,7 +15,7 @@ from typing import Any, Final, NamedTuple, NoReturn
 from fastmimic import __version__
 from fastmimic.base.errors import FastMimicError
 from fastmimic.base.registry import load_extensions
-from fastmimic.base.signals import on_signal
+from fastmimic.base.signals import heeded, on_signal
 from fastmimic.commands.console import EXIT_INTERRUPTED
 
 EXIT_ERROR: Final = 2
@@ -66,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise KeyboardInterrupt
 
     try:
-        with on_signal(interrupted, signal.SIGINT):
+        with on_signal(interrupted, *heeded()):
             status = _dispatch(arguments)
         sys.stdout.flush()
     except FastMimicError as error:

@@ -1,15 +1,22 @@
 """Ctrl-C wherever it comes, also within a library that would swallow it."""
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fastmimic import cli
-from fastmimic.base.signals import interrupts_kept
+from fastmimic.base.signals import interrupts_kept, on_signal
 from fastmimic.trajectory import ipopt
+
+
+@pytest.fixture(autouse=True)
+def in_the_foreground() -> Iterator[None]:
+    """Processes in the background of a script ignore Ctrl-C."""
+    with on_signal(signal.default_int_handler, signal.SIGINT):
+        yield
 
 
 def test_while_the_solver_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
@@ -65,3 +72,10 @@ def test_it_is_kept_until_the_end_of_the_block() -> None:
         block()
     assert (kept, done) == ([signal.SIGINT], ["all"])
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_in_the_background_it_stays_ignored() -> None:
+    kept: list[int] = []
+    with on_signal(signal.SIG_IGN, signal.SIGINT), interrupts_kept(kept):
+        signal.raise_signal(signal.SIGINT)
+    assert not kept

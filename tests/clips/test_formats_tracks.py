@@ -252,11 +252,22 @@ def test_a_truncated_file_is_refused(name: str, tmp_path: Path) -> None:
             read_clip(path, ReadOptions(fps=RATE))
 
 
+C3D = b"\x02\x50" + b"\xff" * 510 + b"\x01\x50\x02\x54" + b"\xff" * 1500
+"""How one begins: its parameters come after 512 bytes, of Intel's kind."""
+
+
+def test_a_picture_is_no_c3d(tmp_path: Path) -> None:
+    """Its second byte is the same, "P"."""
+    (tmp_path / "take.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"\xff" * 100_000)
+    with pytest.raises(ClipError, match=r"take\.png: a binary file"):
+        read_clip(tmp_path / "take.png")
+
+
 @pytest.mark.parametrize("library", ["h5py", "c3d", "pygltflib"])
 def test_a_missing_library_is_one_line_that_names_the_extra(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    starts = {"h5py": b"\x89HDF\r\n\x1a\n", "c3d": b"\x02\x50" + b"\xff" * 2000, "pygltflib": b"glTF\x02\0\0\0"}
+    starts = {"h5py": b"\x89HDF\r\n\x1a\n", "c3d": C3D, "pygltflib": b"glTF\x02\0\0\0"}
     (tmp_path / "take").write_bytes(starts[library])
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ClipError, match=rf"need {library}, which is not installed: pip install 'fastmimic\[formats\]'"):

@@ -53,7 +53,8 @@ def test_a_rollout_keeps_the_demonstration_as_its_ghost(robot: Robot, turn: Moti
     track = rollout_track(rollout, least, "title")
     assert rollout.log is not None
     np.testing.assert_array_equal(track.contact, rollout.log.observation[0]["foot_force"][..., 2] > least)
-    assert (track.title, track.caption) == ("title", f"reward {rollout.reward[0]:.2f}")
+    assert rollout.reward_animal[0] < rollout.reward[0] - 0.001
+    assert (track.title, track.caption) == ("title", f"reward {rollout.reward_animal[0]:.2f}"), "against the animal"
     assert track.ghost is not None
     assert len(track.pose) == len(track.ghost) == 250
     np.testing.assert_allclose(track.pose[:, :3], track.ghost[:, :3], atol=0.05)  # it imitates

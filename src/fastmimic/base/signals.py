@@ -19,12 +19,17 @@ def on_signal(handler: Any, *numbers: int) -> Iterator[None]:
             signal.signal(number, earlier)
 
 
+def heeded() -> tuple[int, ...]:
+    """SIGINT, unless the process ignores it, as one in the background of a script does."""
+    return (signal.SIGINT,) if callable(signal.getsignal(signal.SIGINT)) else ()
+
+
 @contextmanager
 def interrupts_kept(kept: list[int]) -> Iterator[None]:
     """A Ctrl-C within the block is kept until its end, where it is handled as it would have been: for libraries that
     take it for something else."""
     handler = signal.getsignal(signal.SIGINT)
-    with on_signal(lambda number, _: kept.append(number), *([signal.SIGINT] if callable(handler) else [])):
+    with on_signal(lambda number, _: kept.append(number), *heeded()):
         yield
     if kept and callable(handler):
         handler(kept[0], None)

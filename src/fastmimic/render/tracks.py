@@ -111,11 +111,13 @@ def interpolated(rows: Array, at: Array) -> Array:
 
 def rollout_track(rollout: "Rollout", loaded_n: float, title: str = "", episode: int = 0, note: str = "") -> Track:
     """An episode of a logged rollout, falls included, with the demonstration as its ghost. The panel's second line
-    tells the reward and the time of a fall after `note`, such as the method; `loaded_n` loads a foot, N."""
+    tells the reward, against the animal where that is known, and the time of a fall after `note`, such as the method;
+    `loaded_n` loads a foot, N."""
     log = rollout.course
     robot, ghost = log.observation[episode], log.demonstration[episode]
     caption = f"{note} · " if note else ""
-    caption += f"reward {rollout.reward[episode]:.2f}"
+    animal = rollout.reward_animal[episode]
+    caption += f"reward {rollout.reward[episode] if np.isnan(animal) else animal:.2f}"
     if rollout.fell[episode]:
         caption += f", fell after {rollout.steps[episode] / log.rate_hz:.1f} s"
     contact = robot["foot_force"][..., 2] > loaded_n  # False for the NaN after a fall
