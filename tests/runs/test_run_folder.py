@@ -169,7 +169,7 @@ def test_the_video_says_what_it_shows(
     assert without.title == "without: the animal's motion as it is"
     assert without.caption.startswith(f"trot · {METHODS[method].unoptimised.label} · reward 0.")
     assert with_it.title == f"with: executable, {title}"
-    assert with_it.caption == f"trot · {METHODS[method].label} · reward {result.after.reward[0]:.2f}"
+    assert with_it.caption == f"trot · {METHODS[method].label} · reward {result.after.reward_animal[0]:.2f}"
     assert len({len(track.pose) for track in shown}) == 1
     shown.clear()
     write_video(result, RunFolder.at(tmp_path))
