@@ -53,7 +53,7 @@ class SafetyLimits:
     foreign: str = "damp"
     stiffness_most: float = 300.0
     damping_most: float = 20.0
-    crouch_s: float = 0.25
+    crouch_s: float = 0.4
     damping: float = 2.2
     damping_s: float = 1.5
 
