@@ -56,3 +56,17 @@ def test_without_the_compiler_it_says_so(run: Run, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(controller, "control_step", lambda: None)
     assert "NUMBA_DISABLE_JIT" in str(checks(run)["compiled controller"]["said"])
+
+
+def test_without_a_folder_that_can_be_written_it_says_so(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels then have Numba's cache that keeps nothing."""
+    from numba.core.caching import NullCache
+
+    from fastmimic.control import controller
+
+    def kernel() -> None:
+        """Stands for one."""
+
+    kernel._cache = NullCache()  # type: ignore[attr-defined]
+    monkeypatch.setattr(controller, "control_step", kernel)
+    assert "no folder can be written" in str(checks(run)["compiled controller"]["said"])

@@ -79,3 +79,13 @@ def test_in_the_background_it_stays_ignored() -> None:
     with on_signal(signal.SIG_IGN, signal.SIGINT), interrupts_kept(kept):
         signal.raise_signal(signal.SIGINT)
     assert not kept
+
+
+def test_an_error_of_the_block_does_not_lose_it() -> None:
+    def block() -> None:
+        with interrupts_kept([]):
+            signal.raise_signal(signal.SIGINT)
+            raise RuntimeError("the library's")
+
+    with pytest.raises(KeyboardInterrupt):
+        block()

@@ -25,9 +25,12 @@ def kernel(function: Callable[..., Any], **changed: bool) -> Callable[..., Any]:
     options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
     lean = {"no_cfunc_wrapper": True, "_nrt": False}  # neither function pointers nor reference counts: less to compile
     try:
-        return _stale_with_callees(njit(**options | lean | changed)(function))
-    except RuntimeError:  # no folder that can be written: each start compiles anew
-        return njit(**options | lean | changed | {"cache": False})(function)
+        compiled = njit(**options | lean | changed)(function)
+    except RuntimeError as error:
+        if "cannot cache" not in str(error):
+            raise
+        return njit(**options | lean | changed | {"cache": False})(function)  # no folder can be written
+    return _stale_with_callees(compiled)
 
 
 inlined: Final = functools.partial(kernel, forceinline=True)

@@ -29,7 +29,9 @@ def interrupts_kept(kept: list[int]) -> Iterator[None]:
     """A Ctrl-C within the block is kept until its end, where it is handled as it would have been: for libraries that
     take it for something else."""
     handler = signal.getsignal(signal.SIGINT)
-    with on_signal(lambda number, _: kept.append(number), *heeded()):
-        yield
-    if kept and callable(handler):
-        handler(kept[0], None)
+    try:
+        with on_signal(lambda number, _: kept.append(number), *heeded()):
+            yield
+    finally:
+        if kept and callable(handler):
+            handler(kept[0], None)

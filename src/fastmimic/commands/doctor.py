@@ -57,6 +57,8 @@ def _cache() -> str:
     cache = getattr(control_step, "_cache", None)
     if cache is None:
         raise OutputError("NUMBA_DISABLE_JIT is set: the controller runs as Python, some hundred times as slowly")
+    if cache.cache_path is None:
+        raise OutputError("no folder can be written: every start compiles anew; set NUMBA_CACHE_DIR")
     folder = Path(cache.cache_path)
     if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
         raise OutputError(f"{folder} cannot be written: every start compiles anew; set NUMBA_CACHE_DIR")

@@ -50,8 +50,7 @@ class Gait:
         """For each row of another gait (m,) the row of this one to go over to; -1 where it is better to wait.
 
         The same feet should stand, and land and lift off as soon. A foot may lift off at that moment, if the other gait
-        has it do so just before; none lands, as it would land hard.
-        So a pace has no row to go over to from a trot."""
+        has it do so just before; none lands, as it would land hard: a pace has no row to go over to from a trot."""
         before, after = other.contact[:, None] != 0, self.contact[None] != 0
         changes_s, changed_s, since_s = self._change_s[None], other._change_s[:, None], self._since_s[None]
         apart = changes_s - changed_s
