@@ -121,8 +121,12 @@ def test_retarget_writes_a_motion_that_the_other_verbs_take(run: Run, in_folder:
     motion = Motion.load(in_folder / "deep" / "pace.npz")
     assert motion.cycle is not None
     assert run("inspect", "deep/pace.npz").status == 0
-    evaluated = run("evaluate", "deep/pace.npz", "--duration", "0.6", "--json")
-    assert evaluated.out == run("evaluate", "pace", "--duration", "0.6", "--json").out
+    saved, named = (
+        json.loads(run("evaluate", source, "--duration", "0.6", "--json").out) for source in ("deep/pace.npz", "pace")
+    )
+    # another machine's kinematic motion may be in the cache: it differs in the last digit
+    assert saved["reward_animal"] == pytest.approx(named["reward_animal"], rel=1e-9)
+    assert saved | {"reward_animal": None} == named | {"reward_animal": None}
 
 
 def test_options_reach_the_clip(run: Run, in_folder: Path) -> None:
