@@ -69,7 +69,7 @@ class Evaluate:
         if self.json:
             return put_json(figures)
         note(provenance(motion))
-        put_figures(figures, robot.name)
+        put_figures(figures | ({"drift_m_per_s": None} if motion.target.runs_once else {}), robot.name)
         put_world(conditions)
 
     def _world(self, conditions: Conditions) -> dict[str, Any]:

@@ -4,11 +4,11 @@
 import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from fastmimic.base.conventions import JOINTS_PER_LEG, LEGS
 from fastmimic.base.errors import ConfigError
-from fastmimic.base.files import packaged, remove_file
+from fastmimic.base.files import remove_file
 from fastmimic.base.progress import count_progress, note, slow_start
 from fastmimic.base.text import number
 from fastmimic.clips.clip import Clip
@@ -17,14 +17,12 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import EXIT_INTERRUPTED, put, put_table
 from fastmimic.deploy.log import DeploymentLog, load_ground_truth
 from fastmimic.motion.motion import Motion
+from fastmimic.report.run_table import FIGURES, figure_key, figure_of, run_columns
 from fastmimic.robot import Robot
 from fastmimic.runs.work_folder import RESULTS, RunFolder
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.imitation.imitate import Imitation
-
-_FIGURES: Final = packaged("fastmimic.commands", "figures.json", tuple[tuple[str, str, int, float], ...])
-"""Label, name in `metrics.json`, digits, scale."""
 
 
 def yes_no(value: Any) -> str:
@@ -37,17 +35,15 @@ def figure_rows(figures: dict[str, Any], reward: str, fell: str, clearance: tupl
     components = [(f"  {name.replace('_', ' ')}", number(value)) for name, value in figures["components"].items()]
     animal = figures.get("reward_animal")
     against = [] if animal is None else [("reward against the animal", number(animal))]
-    others = [(label, number(figures[name], digits, scale)) for label, name, digits, scale in _FIGURES]
+    others = [(label, number(figures[name], digits, scale)) for label, name, digits, scale in FIGURES]
     return [*against, ("reward", reward), *components, ("fell", fell), clearance, *others]
 
 
 def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
-    """The figures of one episode of a run, as they are printed; `column` is "kinematic", "before" or "after"."""
-    if column == "kinematic":
-        figures = metrics["kinematic"] | {"reward_animal": metrics["kinematic"]["reward_mean"]}
-    else:
-        figures = {name: pair[column] for name, pair in metrics.items() if isinstance(pair, dict) and column in pair}
-        figures |= {"reward_mean": figures["reward"], "components": metrics["reward"][f"components_{column}"]}
+    """The figures of one episode of a run, as they are printed; `column` is one of `run_columns`."""
+    others = ("reward_mean", "reward_animal", "components", "fell", "swing_clearance_m")
+    names = (*others, *(name for _, name, _, _ in FIGURES))
+    figures = {name: figure_of(metrics, figure_key(name, column)) for name in names}
     swings = zip(figures["swing_clearance_m"], metrics["swing_clearance_m"]["demonstration"], strict=True)
     shares = [realised / wanted for realised, wanted in swings if realised is not None and wanted]
     cells = figure_rows(
@@ -78,10 +74,9 @@ def put_result(
     from fastmimic.report.figures import write_video
 
     metrics = result.metrics()
-    executable = "kinematic" in metrics
-    columns = {"kinematic": "kinematic", "before": "executable"} if executable else {"before": "as retargeted"}
-    if result.history is not None:
-        columns |= {"after": "fitted" if result.nothing_gained else "optimised"}
+    if result.demonstration.runs_once:
+        metrics["drift_m_per_s"] = metrics.get("kinematic", {})["drift_m_per_s"] = None
+    columns = run_columns(metrics)
     cells = [_column(metrics, column) for column in columns]
     rows = [(name, *(values[name] for values in cells)) for name in cells[0]]
     put(f"{result.motion.name} on {result.robot.name}, {result.duration_s:g} s")

@@ -138,6 +138,11 @@ class Motion:
         return np.array([0, *(i for i in later if 0 < i < self.n_samples)], dtype=np.int64)
 
     @property
+    def runs_once(self) -> bool:
+        """Whether it has no cycles, at whose starts the reference is synchronised with the robot."""
+        return self.cycle is None and len(self.cycle_starts) == 1
+
+    @property
     def segment_starts(self) -> tuple[int, ...]:
         """First samples of a stitched motion's segments; empty for other motions."""
         return tuple(s.first for s in self.provenance.stitch.segments) if self.provenance.stitch is not None else ()

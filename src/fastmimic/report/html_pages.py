@@ -28,6 +28,7 @@ from fastmimic.motion.motion import Motion
 from fastmimic.report.episode_figures import deployment_figure, episode_figure
 from fastmimic.report.figures import motion_figure
 from fastmimic.report.html_page import HtmlReport, Picture, leaving_out, render, said_arguments
+from fastmimic.report.run_table import FIGURES, figure_key, figure_of, run_columns
 from fastmimic.robot import Robot, load_robot
 from fastmimic.runs.work_folder import (
     CONFIG,
@@ -49,14 +50,8 @@ class RerunEpisodes:
     robot: Robot
     motion: Motion
     config: ControllerConfig
-    rollouts: dict[str, Rollout]  # "before" with the demonstration, "after" with the result; or "not optimised" alone
+    rollouts: dict[str, Rollout]  # with the demonstration and, of a search, its result, by their titles
     differences: tuple[str, ...]  # sentences about rewards that differ from `metrics.json`
-
-    @property
-    def done_once(self) -> bool:
-        """Whether the motion has no cycle for synchronising the reference with the robot."""
-        target = self.motion.target
-        return target.cycle is None and len(target.cycle_starts) == 1
 
     @property
     def pictures(self) -> list[Picture]:
@@ -120,6 +115,9 @@ def run_page(path: Path, replay: Callable[[RerunEpisodes], str] | None) -> HtmlR
         m=m,
         e=episodes,
         shown=_Metrics(m),
+        columns=run_columns(m),
+        figures=FIGURES,
+        key_of=figure_key,
         pictures=pictures,
         video=video,
         arguments=said_arguments(config.get("arguments", {})),
@@ -144,15 +142,15 @@ def _run_again(path: Path, metrics: dict[str, Any], config: dict[str, Any]) -> R
     robot = load_robot(config.get("arguments", {}).get("robot") or metrics["robot"])
     motion = Motion.load(path / MOTION)
     seconds = float(metrics["duration_s"])
-    run = {"not optimised": ("before", motion.target)}
-    if metrics["parameters"]:
-        run = {"before": ("before", motion.target), "after": ("after", motion)}
+    references = {"before": motion.target, "after": motion}
     rollouts, differences = {}, []
-    for title, (name, reference) in run.items():
+    for name, title in run_columns(metrics).items():
+        if (reference := references.get(name)) is None:
+            continue
         rollout = rollouts[title] = run_episodes(robot, reference, duration_s=seconds, config=controller, log=True)
         if float(rollout.reward[0]) != (recorded := metrics["reward"][name]):
             again = f"the episode run again has reward {rollout.reward[0]:.6f}"
-            differences.append(f"{name}: {again}, the run recorded {recorded:.6f}")
+            differences.append(f"{title}: {again}, the run recorded {recorded:.6f}")
     return RerunEpisodes(robot, motion, controller, rollouts, tuple(differences))
 
 
@@ -162,28 +160,23 @@ class _Metrics:
     def __init__(self, metrics: Mapping[str, Any]) -> None:
         self._metrics = metrics
 
-    def value(self, key: str) -> Any:
-        """A figure by its path, such as `reward.before` or `swing_clearance_m.after.2`; None if missing."""
-        found: Any = self._metrics
-        for name in key.split("."):
-            if isinstance(found, list):
-                found = found[int(name)] if int(name) < len(found) else None
-            else:
-                found = found.get(name) if isinstance(found, dict) else None
-        return found
-
     def __call__(self, key: str, digits: int, scale: float = 1.0) -> Markup:
-        value = self.value(key)
+        value = figure_of(self._metrics, key)
         if value is None:
             return Markup(NONE)
-        text = ("yes" if value else "no") if isinstance(value, bool) else f"{scale * value:.{digits}f}"
+        text = (
+            ("yes" if value else "no")
+            if isinstance(value, bool) or key == "kinematic.fell"
+            else f"{scale * value:.{digits}f}"
+        )
         return Markup('<data data-metric="{}" value="{}">{}</data>').format(key, repr(value), text)
 
-    def least_clearance(self, when: str) -> str:
+    def least_clearance(self, column: str) -> Markup:
         """The smallest share of the demonstration's swing clearance among the swinging legs."""
-        wanted, got = self.value("swing_clearance_m.demonstration"), self.value(f"swing_clearance_m.{when}")
-        shares = [g / w for g, w in zip(got or [], wanted or [], strict=False) if g is not None and w]
-        return Markup("{:.0f} <small>%</small>").format(100 * min(shares)) if shares else NONE
+        keys = "swing_clearance_m.demonstration", figure_key("swing_clearance_m", column)
+        wanted, got = (figure_of(self._metrics, key) or [] for key in keys)
+        shares = [g / w for g, w in zip(got, wanted, strict=False) if g is not None and w]
+        return Markup("{:.0f} <small>%</small>").format(100 * min(shares)) if shares else Markup(NONE)
 
 
 def results_page(path: Path) -> HtmlReport:
