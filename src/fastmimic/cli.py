@@ -151,6 +151,14 @@ def _raise_usage(box: str) -> NoReturn:
     if len(parts) > 1 and "╭" not in box:
         del parts[0]  # the title, which a box has in its border
     said = " ".join(parts[0]) if parts else "arguments that cannot be parsed"
+    if said.startswith("Missing from"):
+        names = re.findall(
+            r"^(?:│ |  )    (?!fastmimic )(\S.*?)[ │]*$", box, re.MULTILINE
+        )  # their help is indented further
+        said = f"missing: {', '.join(names)}"
+    elif wrong := re.match(r"Error parsing (--\S+): .*?(int|float|INT|FLOAT)\b.*'(.*)'$", said):
+        option, kind, value = wrong.groups()
+        said = f"{option}: {value!r} is not a {'whole ' if kind.lower() == 'int' else ''}number"
     meant = next((part for part in parts if part[0].lower().startswith("perhaps you meant")), None)
     if meant is not None and len(meant) > 1:
         said += f"; did you mean '{meant[1].split()[0].rstrip(',')}'?"

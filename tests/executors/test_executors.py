@@ -2,6 +2,8 @@
 
 import logging
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -35,6 +37,14 @@ def by_job(outcomes: Iterator[JobOutcome]) -> dict[int, JobOutcome]:
     found = [*outcomes]
     assert len({outcome.index for outcome in found}) == len(found)
     return {outcome.index: outcome for outcome in found}
+
+
+def test_a_script_without_a_main_guard_is_told_so(tmp_path: Path) -> None:
+    lines = "from math import sqrt", "from fastmimic.executors import make_executor"
+    script = tmp_path / "unguarded.py"
+    script.write_text("\n".join((*lines, "print(*make_executor('local', workers=2).run(sqrt, [4.0]))")))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
+    assert "a script must call this under if __name__ == '__main__':" in done.stdout
 
 
 def test_all_jobs_are_done_whatever_becomes_of_some(

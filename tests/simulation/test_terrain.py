@@ -127,12 +127,14 @@ class TestGround:
             np.testing.assert_allclose(top, [0.0, 0.2], atol=1e-9)
         np.save(tmp_path / "flat.npy", np.zeros(4))
         np.save(tmp_path / "high.npy", np.full((3, 4), -1e307))
+        (tmp_path / "text.npy").write_text("heights")
         np.save(tmp_path / "none.npy", np.full((3, 4), np.nan))
         for name, said in (
             ("flat.npy", r"rows and columns of heights; found \(4,\)"),
             ("high.npy", r"in m and at most 1000; found 1e\+307"),
             ("none.npy", r"in m and at most 1000; found nan"),
-            ("no.npy", "cannot be read as a height field"),
+            ("no.npy", "no such file"),
+            ("text.npy", "cannot be read as a height field"),
         ):
             with pytest.raises(ConfigError, match=said):
                 made(f"{tmp_path / name}")

@@ -17,6 +17,7 @@ from fastmimic.commands import options as opt
 from fastmimic.commands.console import put_table
 from fastmimic.commands.show import note_origin, put_result, write_run, yes_no
 from fastmimic.control.config import controller_config
+from fastmimic.executors import check_workers
 from fastmimic.imitation.methods import METHODS, check_controller
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.parameters import moved_by
@@ -119,6 +120,10 @@ class Imitate(SearchRun):
 
     def _method(self) -> str:
         """Name of the method that runs; raises `ConfigError` if the options do not fit it."""
+        from fastmimic.optimize.cma_es import CmaSettings  # loads the compiler
+
+        CmaSettings(self.search.iterations, self.search.population, self.seed)
+        check_workers(self.workers)
         method = self.method
         if self.no_optimize:
             method = METHODS[method].unoptimised.name

@@ -43,6 +43,7 @@ class Motions:
         rows = describe(self.folder)
         cells = [(r.name, r.speed, "yes" if r.available else "no", r.about, r.source) for r in rows]
         put_table([("name", "speed", "here", "description", "source"), *cells])
+        note("speeds of dogs are the animals'; the other motions are of a robot of the A1's size")
         for licence in dict.fromkeys(r.licence for r in rows if r.source != "built in"):
             note(f"licence of the recordings: {licence}")
         if not all(r.available for r in rows):

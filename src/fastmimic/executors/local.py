@@ -72,8 +72,11 @@ class _Worker:
             if self._attempts < ATTEMPTS:
                 self.begin(self.index, self._job, self._attempts + 1)
                 return None
-            died = f"its process died {self._attempts} times (exit status {status}), perhaps for want of memory"
-            return JobOutcome(self.index, error=WorkerError(f"{died}: fewer workers leave more to each"))
+            why = "perhaps for want of memory: fewer workers leave more to each"
+            if status == 1:  # it could not start: it imports the script that started it
+                why = "a script must call this under if __name__ == '__main__':"
+            died = f"its process died {self._attempts} times (exit status {status}); {why}"
+            return JobOutcome(self.index, error=WorkerError(died))
         if isinstance(said, Exception):
             raise said
         return JobOutcome(self.index, *said) if isinstance(said, tuple) else said

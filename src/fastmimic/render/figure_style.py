@@ -42,6 +42,12 @@ LEG_LINES: Final = (  # FR, FL, RR, RL: right orange, left blue; front solid, re
     Line("#e69f00", (0, (3, 1.4)), 1.6),
     Line("#56b4e9", (0, (3, 1.4)), 1.6),
 )
+SERIES_LINES: Final = (  # four series that are not legs
+    Line(INK, "solid", 1.6),
+    Line("#cc79a7", "solid", 1.6),
+    Line("#009e73", (0, (3, 1.4)), 1.6),
+    Line("#8a6bbf", (0, (3, 1.4)), 1.6),
+)
 
 
 def new_figure(width: float, height: float, title: str, below: float | None = None) -> Figure:

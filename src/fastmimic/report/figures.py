@@ -63,9 +63,7 @@ def _draw_reward(axes: Axes, k: Array, h: History) -> None:
     axes.fill_between(k, mean - std, mean + std, color=BEFORE.color, alpha=0.18, linewidth=0, label=label)
     axes.plot(k, mean, **BEFORE._asdict(), marker=marker, markersize=4, label="candidates, mean")
     axes.plot(k, best, **AFTER._asdict(), marker=marker, markersize=4, label="best so far")
-    axes.axhline(baseline, color=DEMONSTRATION.color, linestyle=DEMONSTRATION.linestyle, linewidth=1.4)
-    where = {"xycoords": ("axes fraction", "data"), "ha": "right", "color": DEMONSTRATION.color}
-    style.write_at(axes, f"not optimised {baseline:.3f}", (1, baseline), (-2, 3), 8.5, **where)
+    axes.axhline(baseline, **DEMONSTRATION._asdict(), label=f"not optimised: {baseline:.3f}")
     title = f"Objective of the search: {baseline:.3f} → {best[-1]:.3f} after {len(best)} iterations"
     style.tidy(axes, title, ylabel="reward − penalty for lost clearance")
     axes.legend(loc="lower right", bbox_to_anchor=(1, 0.04), fontsize=8.5, frameon=True, framealpha=0.9)
@@ -238,7 +236,7 @@ def _draw_use(axes: Axes, motion: Motion, robot: Robot) -> None:
         "joint speed": found.joint_speed,
         f"friction of {GROUND_FRICTION:g}": found.friction / GROUND_FRICTION,
     }
-    for (name, share), line in zip(shares.items(), LEG_LINES, strict=True):
+    for (name, share), line in zip(shares.items(), style.SERIES_LINES, strict=True):
         axes.plot(time, share, **line._asdict(), label=name)
         for first, end in stretches(share > _AT_LIMIT):
             axes.axvspan(time[first], time[end - 1] + SAMPLE_S, color=line.color, alpha=0.12, linewidth=0)

@@ -94,7 +94,7 @@ class RetargetReport:
             _row("foot path RMS, mm", None, self.foot_path_rms_m, 1e3, 0),
             f"support: {', '.join(support)}",
             f"base height {self.base_height_m:.3f} m ({moved})",
-            f"joint speeds {speeds} rad/s; clamps: {clamps}",
+            f"kinematic joint speeds {speeds} rad/s; clamps: {clamps}",
             *(f"{'ok ' if bound.met else 'NOT MET'} {bound}" for bound in self.bounds),
             *([] if self.executable is None else self.executable.lines()),
         ]

@@ -14,6 +14,7 @@ every clip. The steps are in these modules:
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.errors import ClipError, check_positive
 from fastmimic.base.text import plain
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 from fastmimic.motion.motion import Motion
 from fastmimic.motion.provenance import Provenance
@@ -28,7 +30,7 @@ from fastmimic.retargeting.config import RetargetConfig
 from fastmimic.retargeting.report import RetargetReport, make_report, with_executable
 from fastmimic.retargeting.steps import DOG_SCALE, Retargeting, whether_cycle
 from fastmimic.retargeting.track import extract
-from fastmimic.robot import Robot
+from fastmimic.robot import Robot, load_robot
 from fastmimic.trajectory.executable import nearest_executable
 
 DOG_LEG_LENGTH_M: Final = 0.4 / DOG_SCALE  # so that other robots scale by their own
@@ -39,8 +41,8 @@ MIN_FRAMES: Final = 8
 
 
 def retarget(
-    clip: Clip,
-    robot: Robot,
+    clip: Clip | str | Path,
+    robot: Robot | str,
     *,
     rate_hz: float = 500.0,
     scale: float | None = None,
@@ -53,7 +55,7 @@ def retarget(
     """Turns an animal's clip into a reference motion of a robot; returns it with a report of the changes.
 
     Args:
-        clip, robot: the animal's keypoints, and the robot.
+        clip, robot: the animal's keypoints, and the robot; names and files as for `open_clip` and `load_robot`.
         rate_hz: of the motion; a cycle's period becomes a whole number of samples.
         scale: animal's to robot's size; if None the clip's own or the ratio of leg lengths (0.825 for a dog on the A1).
         cycle: whether the clip is one period; if None what the clip says, else whether it closes.
@@ -67,6 +69,8 @@ def retarget(
     The motion's `provenance` holds the report as well. Raises `ConfigError` unless rate and scale are positive, and
     `ClipError` if the clip is too short; `MotionError` if no motion near it is executable.
     """
+    robot = load_robot(robot)
+    clip = clip if isinstance(clip, Clip) else open_clip(clip, robot=robot)
     _check(clip, rate_hz, scale)
     scale = choose_scale(clip, robot) if scale is None else float(scale)
     config = config or RetargetConfig()

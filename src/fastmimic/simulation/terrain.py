@@ -194,6 +194,8 @@ def _read_heights(path: Path) -> Array:
         else:
             white = 65535 if found.mode.startswith("I") else 255
             heights = np.asarray(found.convert("F"), dtype=np.float64)[::-1] / white
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
     except (*UNREADABLE, Image.DecompressionBombError) as error:
         raise ConfigError(f"{path}: cannot be read as a height field: {error}") from None
     if heights.ndim != 2 or min(heights.shape) < 2:
