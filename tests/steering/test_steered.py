@@ -205,3 +205,17 @@ def test_legs_go_no_farther_while_the_velocity_changes_than_afterwards(
     joints = run(steered, 3.0)[0]["joint_pos"]
     room = np.minimum(joints - robot.joint_lower, robot.joint_upper - joints)[:, ::3].min(axis=1)
     assert room[: 2 * round(RATE_HZ)].min() > 0.9 * room[2 * round(RATE_HZ) :].min()
+
+
+def test_feet_land_nearly_at_rest_while_the_velocity_changes(gaits: GaitField) -> None:
+    steered = Steered(gaits)
+    steered.steer(np.array([0.6, 0.0, 0.0]))
+    run(steered, 2.0)
+    steered.steer(np.array([1.2, 0.0, 0.8]))
+    rows, _, feet = run(steered, 1.0)
+    contact, speed = rows["contact"] == 1, np.linalg.norm(np.diff(feet[..., :2], axis=0), axis=-1) / DT
+    lands = ~contact[1:-1] & contact[2:]
+    assert lands.sum() > 5
+    for before in (speed[:-1], speed[1:]):
+        assert before[lands].max() < 0.25  # m/s, of 0.6 to 1.2
+        assert before[lands].mean() < 0.16

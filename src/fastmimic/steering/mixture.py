@@ -23,7 +23,7 @@ _FORESEEN: Final = 0.25  # of a stance, by which a foot lands ahead for a veloci
 _GOAL_S: Final = 0.03  # time constant with which a swinging foot takes up another goal
 _AHEAD_S: Final = 0.01  # step in which the velocity is foreseen
 _STEADY: Final = 1e-3  # m/s, m/s² and rad: a velocity that does not change
-_FADE_S: Final = 0.25  # in which the difference of two gaits fades
+_FADE_S: Final = 0.1  # in which the difference of two gaits fades
 
 _TURN, _HEIGHT, _TILT, _MOTION, _FOOT, ROLL = 2, 3, slice(4, 8), 8, 26, 38  # columns of a gait's values
 WIDTH: Final = 46
@@ -31,7 +31,8 @@ FEET: Final = slice(_FOOT, _FOOT + 12)
 
 STEERED: Final = record_dtype(
     [
-        *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=(), fades=(), offset=WIDTH),
+        *floats(position=(), pose=3, wanted=3, velocity=3, rate=3, stands=(), jump=()),
+        *floats(fades=(), offset=WIDTH, parting=WIDTH),
         *floats(foothold=(4, 2), away=(4, 3), lifted=(4, 3), leaving=(4, 3), goal=(4, 3), since=4, lasts=4),
         *floats(before=(4, 3), feet=(4, 3)),
         *integers(swings=4, standing=(), synced=()),
@@ -40,9 +41,10 @@ STEERED: Final = record_dtype(
 """A steered reference: the `position` in the gaits' period, rows; x, y, m, and yaw, rad, of its root; the `wanted`
 velocity, the present one and its rate, heading frame, m, rad, s; the share of standing in the mixture; the sum of the
 distances moved by synchronisation, m; the `offset` of the gait before from the present one, which `fades` from 1 to
-0. Of each foot: its place while it stands, world, m; how far `away` it is from where the gaits have it, heading frame,
-m, and how far when it lifted off, `leaving` at so many m/s; the `goal` in which its swing is to end, likewise; the time
-since then and until it is there, s; where the `feet` are, and were `before` the last step, body frame, m."""
+0, and its rate when it began to, `parting`. Of each foot: its place while it stands, world, m; how far `away` it is
+from where the gaits have it, heading frame, m, and how far when it lifted off, `leaving` at so many m/s; the `goal` in
+which its swing is to end, likewise; the time since then and until it is there, s; where the `feet` are, and were
+`before` the last step, body frame, m."""
 
 MIXTURE: Final = record_dtype([*floats(weight=9, values=WIDTH, tilt=4, ahead=(2, 3)), *integers(gait=9)])
 
@@ -85,9 +87,9 @@ def mix(grid: Any, values: Array, s: Any, mixture: Any) -> None:
         for column in range(WIDTH):
             mixture.values[column] += mixture.weight[g] * ((1.0 - u) * now[column] + u * then[column])
     if s.fades > 0.0:
-        left = s.fades * s.fades * (3.0 - 2.0 * s.fades)
+        left, going = s.fades**2 * (3.0 - 2.0 * s.fades), s.fades**2 * (1.0 - s.fades) * _FADE_S
         for column in range(WIDTH):
-            mixture.values[column] += left * s.offset[column]
+            mixture.values[column] += left * s.offset[column] + going * s.parting[column]
     norm = 0.0
     for column in range(4, 8):
         norm += mixture.values[column] ** 2
@@ -123,10 +125,13 @@ def _feet(schedule: Any, top: float, s: Any, mixture: Any, work: Any, dt: float)
     lean = mixture.values[_HEIGHT] / GRAVITY
     for leg in range(4):
         x, y = mixture.values[_FOOT + 3 * leg], mixture.values[_FOOT + 3 * leg + 1]
+        # the gaits' landing foot is half a stance ahead of the hip: it moves on the ground when the velocity changes
+        ahead_x = 0.5 * stances[leg] * (s.rate[0] - y * s.rate[2])
+        ahead_y = 0.5 * stances[leg] * (s.rate[1] + x * s.rate[2])
         if contact[row, leg] == 1 or s.stands > 0.0:
             if s.swings[leg] == 1:
                 s.swings[leg] = 0
-                fx, fy = x + s.away[leg, 0], y + s.away[leg, 1]
+                fx, fy = x + s.away[leg, 0] - ahead_x * dt, y + s.away[leg, 1] - ahead_y * dt
                 s.foothold[leg, 0] = s.pose[0] + cos * fx - sin * fy
                 s.foothold[leg, 1] = s.pose[1] + sin * fx + cos * fy
             dx, dy = s.foothold[leg, 0] - s.pose[0], s.foothold[leg, 1] - s.pose[1]
@@ -139,19 +144,23 @@ def _feet(schedule: Any, top: float, s: Any, mixture: Any, work: Any, dt: float)
                 s.swings[leg], s.since[leg] = 1, 0.0
                 s.lasts[leg] = LANDED * max(until[row, leg], 1) * work.dt
                 copy(s.away[leg], s.lifted[leg])
+            share = min(dt / _GOAL_S, 1.0) if s.since[leg] > 0.0 else 1.0
+            s.since[leg] += dt
             u = min(s.since[leg] / s.lasts[leg], 1.0)
             moved = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
             going = u * (1.0 - u) ** 3 * (1.0 + 3.0 * u) * s.lasts[leg]  # begins with slope 1 in time
+            w = min(LANDED * s.since[leg] / s.lasts[leg], 1.0)
+            coming = -(w**4) * (1.0 - w) * s.lasts[leg] / LANDED  # ends with it
             _foresee(s, top, max(s.lasts[leg] - s.since[leg], 0.0), stances[leg], mixture.ahead)
             faster, rate = mixture.ahead[0], mixture.ahead[1]
             gx = _FORESEEN * stances[leg] * (faster[0] - y * faster[2]) - lean * rate[0]
             gy = _FORESEEN * stances[leg] * (faster[1] + x * faster[2]) - lean * rate[1]
-            share = min(dt / _GOAL_S, 1.0) if s.since[leg] > 0.0 else 1.0
             s.goal[leg, 0] += share * (gx - s.goal[leg, 0])
             s.goal[leg, 1] += share * (gy - s.goal[leg, 1])
             for k in range(3):
                 s.away[leg, k] = (1.0 - moved) * s.lifted[leg, k] + going * s.leaving[leg, k] + moved * s.goal[leg, k]
-            s.since[leg] += dt
+            s.away[leg, 0] -= coming * ahead_x  # lands at rest
+            s.away[leg, 1] -= coming * ahead_y
     for leg in range(4):
         copy(s.feet[leg], s.before[leg])
         for k in range(3):

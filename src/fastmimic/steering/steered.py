@@ -183,8 +183,10 @@ class Steered:
         self._scratch[0] = place
         scratch["position"] = (row + 1) % gait.n
         own, then = self._values(place), self._values(scratch)
-        place["offset"][:ROLL] = (before - own)[:ROLL]
-        place["offset"][FEET], place["fades"] = 0.0, 1.0
+        rate = (after - before - (then - own)) * RATE_HZ
+        place["offset"][:ROLL], place["parting"][:ROLL] = (before - own)[:ROLL], rate[:ROLL]
+        place["offset"][FEET] = place["parting"][FEET] = 0.0
+        place["fades"] = 1.0
         place["away"] = feet - own[FEET].reshape(4, 3)
         place["lifted"], place["leaving"] = place["away"], speed - (then - own)[FEET].reshape(4, 3) * RATE_HZ
         place["wanted"] = gait.field.nearest(self._asked)
