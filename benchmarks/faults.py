@@ -1,12 +1,13 @@
 """What a deployment makes of faults: of sensors, motors, the link, programs and people.
 
-    python benchmarks/faults.py [--robot go2] [--motion trot] [--only imu …] [--wire] [--json] [--write]
+    python benchmarks/faults.py [--robot go2] [--motion trot] [--only imu …] [--instants 8] [--wire] [--json] [--write]
 
 Each case deploys a motion on a simulated robot with one fault, in lock step (`--wire`: also on robots in processes of
-their own, in real time, over DDS). The fault is there from the beginning, or comes a second after the motion has begun.
-A row says how it ended: what stopped the deployment, its exit status, whether the robot fell (tipped over, or landed
-hard on its trunk), the greatest joint speed as a share of its limit and the greatest tilt of the trunk until the
-deployment ended or the joints were damped, and whether the log was whole. `--write` puts the table into docs/deploy.md.
+their own, in real time, over DDS). The fault is there from the beginning, or comes a second after the motion has begun;
+in lock step at so many instants of a period, each in a run of its own. A row says how it ended, mostly: what stopped
+the deployment, its exit status, in how many runs the robot fell (tipped over, or landed hard on its trunk), the
+greatest joint speed as a share of its limit and the greatest tilt of the trunk until the deployment ended or the joints
+were damped, and whether the log was whole. `--write` puts the table into docs/deploy.md.
 """
 
 import argparse
@@ -211,7 +212,7 @@ OPERATORS: dict[str, Callable[[StopSwitch], None]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """One fault, from the beginning or `LATE_S` into the motion."""
+    """One fault, from the beginning or `late_s` into the motion."""
 
     name: str
     reading: Tamper | None = None
@@ -221,6 +222,7 @@ class Case:
     world: Any = ()  # disturbances
     operator: Callable[[StopSwitch], None] | None = None
     late: bool = False
+    late_s: float = LATE_S
 
 
 def cases() -> list[Case]:
@@ -247,13 +249,13 @@ class FaultyDriver(SimDriver):
 
     @property
     def at_fault(self) -> bool:
-        return not self._case.late or self.moving_s > LATE_S
+        return not self._case.late or self.moving_s > self._case.late_s
 
     def _newest(self) -> StateMessage | None:
         state = super()._newest()
         if state is None or not self.at_fault:
             return state
-        if LATE_S < self.moving_s < LATE_S + self._case.silence_s:
+        if self._case.late_s < self.moving_s < self._case.late_s + self._case.silence_s:
             return None
         if self._case.reading is None:
             return state
@@ -310,6 +312,21 @@ def lock_step(robot: Robot, sequence: MotionSequence, case: Case) -> dict[str, A
             "log_complete": len(log.rows) == done.result["periods"],
         }
     )
+
+
+def at_instants(robot: Robot, sequence: MotionSequence, case: Case, count: int) -> dict[str, Any]:
+    """One case on a virtual clock, at `count` instants of the motion's period if it comes in the motion: how it ended
+    most often, the worst figures, and in how many it fell."""
+    if not case.late:
+        return lock_step(robot, sequence, case)
+    delays = [k * sequence.motion.period_s / count for k in range(count)]
+    runs = [lock_step(robot, sequence, dataclasses.replace(case, late_s=LATE_S + delay)) for delay in delays]
+    endings = [(run["outcome"], run["stopped_by"], run["rc"]) for run in runs]
+    row = runs[endings.index(max(endings, key=endings.count))]
+    worst = {name: max(run[name] for run in runs) for name in ("peak_joint_speed_share", "peak_tilt_rad")}
+    falls = sum(run["fell"] for run in runs)
+    whole = all(run["log_complete"] for run in runs)
+    return row | worst | {"fell": falls > 0, "falls": falls, "instants": count, "log_complete": whole}
 
 
 @dataclass(frozen=True)
@@ -448,6 +465,12 @@ def line(row: dict[str, Any]) -> str:
     )
 
 
+def fallen(row: dict[str, Any]) -> str:
+    if not row["fell"]:
+        return "no"
+    return f"**{row['falls']} of {row['instants']}**" if "falls" in row else "**yes**"
+
+
 def table(rows: list[dict[str, Any]]) -> list[str]:
     """The rows for the page: those that are not simply done."""
     head = ("fault", "where", "how it ended", "exit status", "fell", "joint speed, share", "tilt, rad", "log")
@@ -457,7 +480,7 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
             row["where"],
             row["outcome"] + (f": `{row['stopped_by']}`" if row["outcome"] not in ("done", "refused") else ""),
             str(row["rc"]),
-            "**yes**" if row["fell"] else "no",
+            fallen(row),
             f"{row['peak_joint_speed_share']:.2f}" if "peak_tilt_rad" in row else "–",
             f"{row['peak_tilt_rad']:.2f}" if "peak_tilt_rad" in row else "–",
             "whole" if row["log_complete"] else "**no**",
@@ -471,6 +494,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="go2")
     parser.add_argument("--motion", default="trot")
+    parser.add_argument("--instants", type=int, default=8, help="at which a fault comes in the motion, in lock step")
     parser.add_argument("--wire", action="store_true", help="also between processes, in real time")
     parser.add_argument("--domain", type=int, default=97, help="DDS domain of the first of these")
     parser.add_argument("--only", default="", help="cases whose name contains this")
@@ -483,7 +507,7 @@ def main() -> None:
     rows = []
     for case in cases():
         if args.only in case.name:
-            rows.append(lock_step(robot, sequence, case))
+            rows.append(at_instants(robot, sequence, case, args.instants))
             print(line(rows[-1]), file=sys.stderr, flush=True)
     for i, wired in enumerate(WIRE if args.wire else ()):
         if args.only in wired.name:

@@ -174,6 +174,22 @@ def test_an_angle_that_jumps_is_doubted_at_once(a1: Robot) -> None:
 
 
 @pytest.mark.nojit
+def test_a_gyroscope_of_the_other_sign_is_doubted_before_the_trunk_has_turned_far(a1: Robot) -> None:
+    compared, reading, command = senses(a1)
+    rate, sign, found = 1.0, 1.0, []  # rad/s
+    for i in range(300):
+        tremble(reading)
+        sign = 1.0 if i < 250 else -1.0
+        reading["quat"] = quat_from_rotvec(np.array([0.002 * rate * i, 0.0, 0.0]))
+        reading["gyro"] = (sign * rate, 0.0, 0.0)
+        tremble(reading)
+        found.append(compared.check(reading, command, 0.002))
+    assert not any(found[:250])
+    doubt = next(k for k, doubt in enumerate(found) if doubt) - 250
+    assert doubt * 0.002 * rate < 0.04  # rad; by the sum over two seconds it would have been 0.05
+
+
+@pytest.mark.nojit
 @pytest.mark.parametrize(("share", "speed", "doubted"), [(0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.5, False)])
 def test_a_motor_that_gives_no_torque(share: float, speed: float, doubted: bool, a1: Robot) -> None:
     """Weak motors are lived with, and at speed a motor may have no torque left."""

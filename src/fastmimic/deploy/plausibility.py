@@ -23,6 +23,7 @@ from fastmimic.robot.state import READING
 IMU, JOINT, TORQUE = "imu", "joint_sensor", "torque_sensor"  # as in `StopReason`
 LEAN_S: Final = 1.8
 _TURN_S, _SLIP_S, _GRAVITY_S = 2.0, 0.2, 0.5  # time constants in which differences are forgotten
+_SOON_S, _SOON = 0.03, 0.3  # of a turn that comes at once, which may be this share of the limit
 _UNTIMELY: Final = 0.3  # share of a joint's movement that angle and speed may differ by: states arrive irregularly
 _GAP_S: Final = 0.01  # after a longer gap between two states, what happened meanwhile is not judged
 _MOTOR_S, _GIVES, _ASKED = 0.1, 0.08, 0.1  # a mean torque over this time, shares of the commanded one, and of its limit
@@ -40,11 +41,14 @@ Doubt = tuple[str, str]  # what cannot be believed (`IMU`, `JOINT` or `TORQUE`),
 
 
 _JOINT_SUMS: Final = dict.fromkeys(("slip", "path", "beyond", "wanted_then", "asked", "given"), 12)
-_SUMS: Final = record_dtype([*floats(turn=3, **_JOINT_SUMS, accel=3, joints_then=(15, 12)), *integers(still=15)])
-"""What readings add up to: the orientation's turn beyond the gyroscope's, rad; of each joint, its angle beyond its
-speed's integral, its way, and the former beyond a share of the latter, rad; the mean acceleration in the world, m/s²;
-the mean torques commanded and given, shares of the limit. Of 15 readings, the IMU's three and by joint: for how many in
-a row it has had the same bits, and the joints and its joint's command when it last changed, rad."""
+_SUMS: Final = record_dtype(
+    [*floats(turn=3, turn_soon=3, **_JOINT_SUMS, accel=3, joints_then=(15, 12)), *integers(still=15)]
+)
+"""What readings add up to: the orientation's turn beyond the gyroscope's, rad, in `_TURN_S` and in `_SOON_S`; of each
+joint, its angle beyond its speed's integral, its way, and the former beyond a share of the latter, rad; the mean
+acceleration in the world, m/s²; the mean torques commanded and given, shares of the limit. Of 15 readings, the IMU's
+three and by joint: for how many in a row it has had the same bits, and the joints and its joint's command when it last
+changed, rad."""
 
 
 @inlined
@@ -77,11 +81,12 @@ def _compare(sums: Any, nows: Any, lasts: Any, bits: Any, former: Any, commands:
     if not (first or 0.0 < dt <= _GAP_S):
         return
     turn, slip, mean = math.exp(-dt / _TURN_S), math.exp(-dt / _SLIP_S), math.exp(-dt / _GRAVITY_S)
-    motor = math.exp(-dt / _MOTOR_S)
+    motor, soon = math.exp(-dt / _MOTOR_S), math.exp(-dt / _SOON_S)
     told, turned = quat_turned(now.quat, now.accel), _small_turn(last.quat, now.quat)
     for k in range(3):
         s.accel[k] = mean * s.accel[k] + (1.0 - mean) * told[k]
-        s.turn[k] = turn * (s.turn[k] + turned[k] - half * (last.gyro[k] + now.gyro[k]))
+        unlike = turned[k] - half * (last.gyro[k] + now.gyro[k])
+        s.turn[k], s.turn_soon[k] = turn * (s.turn[k] + unlike), soon * (s.turn_soon[k] + unlike)
     for j in range(12):
         went, moved = half * (last.joint_vel[j] + now.joint_vel[j]), now.joint_pos[j] - last.joint_pos[j]
         s.slip[j] = slip * (s.slip[j] + moved - went)
@@ -112,6 +117,7 @@ class Senses:
         self._sums = np.zeros(1, _SUMS)
         of = {name: self._sums[name][0] for name in _SUMS.names or ()}
         self._turn, self._beyond, self._mean, self._still = of["turn"], of["beyond"], of["accel"], of["still"]
+        self._soon = of["turn_soon"]
         self._asked, self._given = of["asked"], of["given"]
         self._joints_then, self._wanted_then = of["joints_then"], of["wanted_then"]
 
@@ -143,9 +149,9 @@ class Senses:
 
     def _contradiction(self) -> Doubt | None:
         """Two sensors that say different things."""
-        turn = math.hypot(*self._turn.tolist())
-        if turn > self._turn_limit:
-            return IMU, f"orientation and gyroscope differ by {turn:.2f} rad; {self._turn_limit:g} are allowed"
+        for sum_, limit in ((self._turn, self._turn_limit), (self._soon, _SOON * self._turn_limit)):
+            if (turn := math.hypot(*sum_.tolist())) > limit:
+                return IMU, f"orientation and gyroscope differ by {turn:.2f} rad; {limit:g} are allowed"
         off = math.dist(self._mean.tolist(), (0.0, 0.0, GRAVITY)) / GRAVITY
         if off > self._gravity_limit:
             mean = ", ".join(f"{value:.1f}" for value in self._mean)
