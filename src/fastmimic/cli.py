@@ -152,10 +152,12 @@ def _raise_usage(box: str) -> NoReturn:
         del parts[0]  # the title, which a box has in its border
     said = " ".join(parts[0]) if parts else "arguments that cannot be parsed"
     if said.startswith("Missing from"):
-        names = re.findall(
-            r"^(?:│ |  )    (?!fastmimic )(\S.*?)[ │]*$", box, re.MULTILINE
-        )  # their help is indented further
-        said = f"missing: {', '.join(names)}"
+        # their help is indented further
+        missing, unknown = (
+            ", ".join(re.findall(r"^(?:│ |  )    (?!fastmimic )(\S.*?)[ │]*$", part, re.MULTILINE))
+            for _, _, part in (box.partition("Unrecognized")[0].rpartition("Missing"), box.rpartition("Unrecognized"))
+        )
+        said = f"missing: {missing}" + (f"; unknown: {unknown}" if "Unrecognized" in box else "")
     elif wrong := re.match(r"Error parsing (--\S+): .*?(int|float|INT|FLOAT)\b.*'(.*)'$", said):
         option, kind, value = wrong.groups()
         said = f"{option}: {value!r} is not a {'whole ' if kind.lower() == 'int' else ''}number"

@@ -118,7 +118,7 @@ def test_evaluate_steers_by_a_script(
         ([], "give one of them"),
         (["--commands", "way.csv", "--episodes", "3"], "--episodes is for a motion"),
         (["--commands", "way.csv", "--simulator", "pybullet"], "steered in mujoco only, not in pybullet"),
-        (["--commands", "nowhere.csv"], "nowhere.csv has no velocities"),
+        (["--commands", "nowhere.csv"], "nowhere.csv: no such file"),
     ],
 )
 def test_what_evaluate_cannot_steer_by(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:

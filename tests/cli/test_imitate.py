@@ -194,8 +194,10 @@ def test_another_run_is_not_overwritten(run: Run, copy: Path) -> None:
     refused = run("imitate", "trot", *TINY, "--out", "run", "--seed", "1")
     assert refused.error.startswith("run holds another run (seed 0); choose another --out")
     assert content(copy) == before
+    (copy / "report.html").write_text("of the run before")
     assert run("imitate", "trot", *TINY, "--out", "run", "--seed", "1", "--overwrite").status == 0
     assert metrics(copy)["seed"] == 1
+    assert not (copy / "report.html").exists()
 
 
 def test_the_same_run_again_takes_the_place_of_the_first(run: Run, copy: Path, first: tuple[Path, Outcome]) -> None:

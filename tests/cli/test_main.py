@@ -85,6 +85,7 @@ def test_every_verb_of_the_table_is_there(verb: str, run: Run) -> None:
         (["xyz"], "unknown verb 'xyz'; the verbs are imitate, retarget"),
         (["--verbose"], "unknown option '--verbose'"),
         (["imitate"], "missing: MOTION (see"),
+        (["export", "trot", "--bogus", "3", "--out", "x"], "missing: --format NAME; unknown: --bogus, 3 (see"),
         (["export"], "missing: MOTION, --format NAME, --out FILE (see"),
         (["imitate", "trot", "pace"], "pace"),
         (

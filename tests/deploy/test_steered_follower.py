@@ -1,16 +1,21 @@
 """A robot that is steered over a deployment's whole way: it stands up, goes where it is told, stands, and sits down."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from deploy.rig import Rig, once
 from fastmimic.base.errors import LogError
+from fastmimic.base.files import write_json
 from fastmimic.control.config import ControllerConfig
 from fastmimic.deploy.deployment import Deployment, evaluation_of
+from fastmimic.deploy.log import RESULT
 from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.sequence import MotionSequence, SteeredFollower
 from fastmimic.deploy.state_machine import DeploymentPhase
 from fastmimic.deploy.summary import summary_rows
+from fastmimic.report.html_pages import deployment_page
 from fastmimic.robot import Robot
 from fastmimic.robot.state import MEMORY, OBSERVATION
 from fastmimic.steering.commands import CommandScript
@@ -34,7 +39,7 @@ def velocities(done: Deployment, first_s: float, last_s: float) -> tuple[float, 
 
 
 @pytest.mark.slow
-def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) -> None:
+def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot, tmp_path: Path) -> None:
     done = steered.run(duration_s=5.9)
     assert done.outcome.stopped_by is StopReason.DURATION
     assert done.outcome.phase is DeploymentPhase.DONE
@@ -44,7 +49,11 @@ def test_it_goes_where_the_script_says_and_sits_down(steered: Rig, a1: Robot) ->
     assert velocities(done, 5.7, 5.9)[0] < 0.03, "it stands, its trunk over the middle of its feet"
     wanted = done.log.rows["wanted"][done.log.rows["in_motion"]]
     np.testing.assert_allclose(wanted[[50, 800, 1800, 2500]], [[0, 0, 0], [0.6, 0, 0], [0.5, 0, 0.8], [0, 0, 0]])
-    assert 1.5 < done.result["way_m"] < 2.5
+    assert done.log.truth is not None
+    steps = np.diff(done.log.truth["root_pos"][done.log.rows["in_motion"], :2][::50], axis=0)
+    assert done.result["way_m"] == pytest.approx(np.hypot(*steps.T).sum(), abs=0.05)
+    write_json(tmp_path / RESULT, done.log.facts.as_dict() | {"result": done.result})
+    assert "Ended as planned (duration)." in deployment_page(tmp_path).html
     assert (done.result["cycles"], done.result["reward_mean"]) == (None, None)
     assert done.result["velocity_error_m_s"] < 0.05
     assert done.result["yaw_rate_error_rad_s"] < 0.1

@@ -149,6 +149,15 @@ def test_speed_limits_of_another_number_of_joints_are_refused(tmp_path: Path) ->
     np.testing.assert_array_equal(load_robot(with_limits("1 2 3")).joint_speed_limit, [1.0, 2.0, 3.0] * 4)
     with pytest.raises(RobotError, match=r"has 2 numbers; expected 1, 3 \(abduction, hip, knee\) or 12"):
         load_robot(with_limits("1 2"))
+    with pytest.raises(RobotError, match=r"'joint_speed_limit' must be above 0 rad/s, found 0"):
+        load_robot(with_limits("9 0 9"))
+
+
+def test_a_joint_that_hardly_moves_is_refused(tmp_path: Path) -> None:
+    tree = a1_tree()
+    find(tree, "joint", "RL_knee").set("range", "-0.05 -0.02")
+    with pytest.raises(RobotError, match=r"joint 'RL_knee' only moves from -0.05 to -0.02 rad; are its angles radians"):
+        load_robot(write(tree, tmp_path / "degrees.xml"))
 
 
 def test_somebody_elses_robot_works_whatever_its_names_order_and_lengths(tmp_path: Path) -> None:

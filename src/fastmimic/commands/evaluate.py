@@ -205,5 +205,6 @@ def _identified(found: "Identification", assumed: float, before: float) -> list[
     weighed = f"{payload.mass:.2f} kg (95 %: {payload.lower:.2f} to {payload.upper:.2f})"
     if not payload.tared:
         weighed += "; --unloaded with a deployment without payload narrows the interval"
-    taken = f"{payload.certain:.2f} kg" if payload.certain > 0 else "no payload: the interval includes 0"
+    why = "the interval includes 0" if payload.upper >= 0 else "the robot is lighter than its model"
+    taken = f"{payload.certain:.2f} kg" if payload.certain > 0 else f"no payload: {why}"
     return [*rows, ("payload", weighed), ("  the controller assumes", taken)]

@@ -58,8 +58,9 @@ def _column(metrics: Mapping[str, Any], column: str) -> dict[str, str]:
 def write_run(result: "Imitation", folder: RunFolder, config: Mapping[str, Any]) -> None:
     """Writes everything but the video, in place of an earlier run; raises `OutputError`."""
     from fastmimic.report.figures import draw_run
+    from fastmimic.report.html import REPORT
 
-    for name in RESULTS:
+    for name in (*RESULTS, REPORT):
         remove_file(folder.path / name)
     draw_run(result, folder)
     folder.write_run(result.motion, config, result.metrics(), searched=result.history is not None)

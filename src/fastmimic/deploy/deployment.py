@@ -295,7 +295,8 @@ def result_of(
 ) -> dict[str, Any]:
     """All figures of a deployment of so many `periods`, JSON-serialisable."""
     rows, inside = log.rows, log.rows["in_motion"]
-    places = (rows["estimate"] if log.truth is None else log.truth)["root_pos"][inside][:: round(_WAY_S * log.rate_hz)]
+    places = (rows["estimate"] if log.truth is None else log.truth)["root_pos"][inside]
+    places = np.concatenate([places[:: round(_WAY_S * log.rate_hz)], places[-1:]])
     true = None if log.truth is None else score_log(robot, log, config, log.truth)
     truly = figures(true)
     followed, sent = rows[rows["phase"] == DeploymentPhase.FOLLOW], rows[rows["sent"]]

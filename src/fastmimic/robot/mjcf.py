@@ -21,6 +21,7 @@ from fastmimic.robot.robot import Robot, combined
 DEFAULT_JOINT_SPEED_LIMIT: Final = 21.0  # rad/s, for a model without a `joint_speed_limit`; MJCF has no element for it
 
 SPEED_LIMIT: Final = "joint_speed_limit"
+_LEAST_RANGE: Final = 0.2  # rad
 """A custom numeric, rad/s: one for all joints, three for abduction, hip and knee, or twelve in the file's order."""
 
 _AXES: Final = {"abduction": (1.0, 0.0, 0.0), "hip": (0.0, 1.0, 0.0), "knee": (0.0, 1.0, 0.0)}
@@ -337,6 +338,12 @@ def _ranges(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, Array, tup
     lower, upper = model.jnt_range[joints].T.copy()
     free = np.flatnonzero(~model.jnt_limited[joints].astype(bool))
     lower[free], upper[free] = -np.pi, np.pi
+    i = int(np.argmin(upper - lower))
+    if upper[i] - lower[i] < _LEAST_RANGE:
+        said = f"joint '{model.joint(joints[i]).name}' only moves from {lower[i]:.3g} to {upper[i]:.3g} rad"
+        raise RobotError(
+            f'{said}; are its angles radians, and is angle="radian" missing in the file\'s compiler element?'
+        )
     names = ", ".join(model.joint(joints[i]).name for i in free)
     return lower, upper, (f"no range of {names} in the model: ±3.14 rad assumed",) if names else ()
 
@@ -346,6 +353,8 @@ def _speed_limit(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, tuple
     for i in range(model.nnumeric):
         if model.numeric(i).name == SPEED_LIMIT:
             data = np.array(model.numeric(i).data, dtype=np.float64)
+            if not (data > 0).all():
+                raise RobotError(f"'{SPEED_LIMIT}' must be above 0 rad/s, found {data.min():g}")
             if data.size == len(joints):
                 return data[np.argsort(np.argsort(joints))], ()
             if data.size not in (1, 3):

@@ -47,9 +47,11 @@ class CommandScript:
     def __init__(self, path: Path) -> None:
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
+        except FileNotFoundError:
+            raise ConfigError(f"{path}: no such file") from None
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path} has no velocities: {error}") from None
-        named = bool(lines) and any(letter.isalpha() for letter in lines[0])
+        named = bool(lines) and not any(map(_is_number, lines[0].split(",")))
         found = [_numbers(line, f"{path}, line {i}") for i, line in enumerate(lines[named:], 1 + named)]
         if not found:
             raise ConfigError(f"{path} has no velocities: no line of numbers")
@@ -61,6 +63,14 @@ class CommandScript:
     def velocity(self, time_s: float) -> Array | None:
         row = int(np.searchsorted(self._rows[:, 0], time_s, side="right")) - 1
         return None if row < 0 else np.array(self._rows[row, 1:])
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _numbers(line: str, where: str) -> list[float]:
