@@ -40,6 +40,7 @@ from fastmimic.deploy.deployment import DeployOptions, deploy
 from fastmimic.deploy.driver import StateMessage, damping_command
 from fastmimic.deploy.go2 import messages
 from fastmimic.deploy.log import DeploymentLog
+from fastmimic.deploy.safety import StopReason
 from fastmimic.deploy.sequence import Follower, MotionSequence, make_sequence
 from fastmimic.deploy.sim import LinkFaults, SimDriver
 from fastmimic.deploy.state_machine import DeploymentPhase, StateMachine
@@ -413,7 +414,7 @@ def on_the_wire(motion: str, robot: Robot, case: WireCase, domain: int) -> dict[
     up = 1.0 - 2.0 * (rows["reading"]["quat"][:, 1] ** 2 + rows["reading"]["quat"][:, 2] ** 2)
     result = log.facts.result
     how = "killed" if program.returncode < 0 else "done" if program.returncode in (0, 4) else "damped"
-    if case.deploy and program.returncode == EXIT_VIOLATION:
+    if case.deploy and result.get("stopped_by") == StopReason.FOREIGN:
         how = "sat down"
     last = said.strip().splitlines()[-1]
     complete = bool(result) or how == "killed" or program.returncode == 4
