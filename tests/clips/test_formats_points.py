@@ -108,6 +108,8 @@ def test_a_point_map_names_the_joints_of_another_skeleton(tmp_path: Path) -> Non
     wrong = names | {"neck": "bone_11"}
     with pytest.raises(ClipError, match="'bone_11', which the file does not have; did you mean"):
         read_clip(path, ReadOptions(point_map=wrong))
+    with pytest.raises(ClipError, match="the point map names 'bone_1' as pelvis and neck; each point is one of them"):
+        read_clip(path, ReadOptions(point_map=names | {"pelvis": "bone_1"}))
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,10 @@ def choose(names: Sequence[str], given: PointMap | None) -> tuple[list[int | Non
     """Indices (10,) of the ten points among a file's `names`, None for hips that it lacks, and a sentence on what was
     assumed: a known set of names, or a guess from their words. Raises `ClipError` with a map to complete: none fits."""
     maps = BUILT_IN if given is None else {"": given}
+    if given is not None and len(set(given.values())) < len(given):
+        twice = next(source for source in given.values() if [*given.values()].count(source) > 1)
+        roles = " and ".join(name for name, source in given.items() if source == twice)
+        raise ClipError(f"the point map names '{twice}' as {roles}; each point is one of them")
     for title, points in maps.items():
         if all(source in names for source in points.values()):
             return _indices(names, points), [f"points are named as {title}"] if title else []
