@@ -90,6 +90,13 @@ def test_a_file_gives_the_points_and_the_robot_motion_of_its_take(name: str, tmp
     np.testing.assert_allclose(theirs.joint_pos, ours.joint_pos, atol=np.radians(0.1))
 
 
+def test_few_frames_a_second_are_said(tmp_path: Path) -> None:
+    (tmp_path / "slow.csv").write_text(pose_files.deeplabcut_csv({"": walk()[::10]}))
+    said = "12 frames a second are enough to see feet touch down; 30 or more are advised"
+    for rate_hz in (12.0, 24.0):
+        assert (said in read_clip(tmp_path / "slow.csv", ReadOptions(fps=rate_hz)).origin.assumed) == (rate_hz == 12.0)
+
+
 @pytest.mark.parametrize("name", ["deeplabcut.csv", "anipose.csv", "deeplabcut.h5", "sleap_named.h5", "mm.c3d"])
 def test_points_that_were_not_seen_are_gaps(name: str, tmp_path: Path) -> None:
     needs(name)

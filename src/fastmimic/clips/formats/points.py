@@ -244,6 +244,7 @@ def robot_points(root_pos_w: Array, root_quat_wxyz: Array, hip_pos_b: Array, foo
 
 
 _RADIUS: Final = 0.02  # m, of drawn bones
+_FEW_HZ: Final = 20.0
 _UNEVEN: Final = 0.25  # share of a frame's duration: times may be rounded to milliseconds
 
 
@@ -281,6 +282,8 @@ class Tracks:
         axes = find_axes(seen, rate_hz, up, self.unit_m, self.is_level)
         seen = axes.to_world(seen)
         notes = [*self.notes, *assumed, *filled.notes, *axes.notes]
+        if rate_hz < _FEW_HZ:
+            notes.append(f"{rate_hz:g} frames a second are enough to see feet touch down; 30 or more are advised")
         for right in swapped_pairs(seen) if all(known) else []:
             for each in (seen, filled.points):
                 each[:, [right, right + 1]] = each[:, [right + 1, right]]
