@@ -300,7 +300,8 @@ def transfer_figure(rows: Sequence[dict[str, Any]]) -> Figure:
     groups = [[t for t in found if t.motion == motion] for motion in motions]
     widths = [max(1.6, len(group)) for group in groups] + [2.0]
     robot = rows[0]["robot"]
-    figure = style.new_figure(1.4 + 2.3 * sum(widths) / 1.6, 4.3, f"Transfer without any change, {robot}")
+    width = max(9.5, 1.4 + 2.3 * sum(widths) / 1.6)  # that of the legend
+    figure = style.new_figure(width, 4.3, f"Transfer without any change, {robot}")
     panels = figure.subplots(1, len(widths), sharey=True, width_ratios=widths, squeeze=False)[0]
     for axes, motion, group in zip(panels, motions, groups, strict=False):
         for i, t in enumerate(group):
