@@ -324,7 +324,7 @@ def at_instants(robot: Robot, sequence: MotionSequence, case: Case, count: int) 
     runs = [lock_step(robot, sequence, dataclasses.replace(case, late_s=LATE_S + delay)) for delay in delays]
     endings = [(run["outcome"], run["stopped_by"], run["rc"]) for run in runs]
     row = runs[endings.index(max(endings, key=endings.count))]
-    worst = {name: max(run[name] for run in runs) for name in ("peak_joint_speed_share", "peak_tilt_rad")}
+    worst = {name: max(run.get(name, 0.0) for run in runs) for name in ("peak_joint_speed_share", "peak_tilt_rad")}
     falls = sum(run["fell"] for run in runs)
     whole = all(run["log_complete"] for run in runs)
     return row | worst | {"fell": falls > 0, "falls": falls, "instants": count, "log_complete": whole}

@@ -72,6 +72,9 @@ class ClipOrigin:
     licence: str | None = None
     credit: str | None = None
 
+    def __str__(self) -> str:
+        return self.source or self.name or "the clip"
+
 
 @dataclass(frozen=True, eq=False)
 class Clip:

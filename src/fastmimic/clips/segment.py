@@ -185,8 +185,7 @@ def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segme
         return [as_one_cycle(clip, config)]
     fewest = 2 * math.ceil(config.shortest_s * clip.rate_hz)
     if clip.n_frames < fewest:
-        name = clip.origin.source or clip.origin.name or "the clip"
-        said = f"{name}: {clip.n_frames} frames at {clip.rate_hz:g} Hz are too few to find cycles in"
+        said = f"{clip.origin}: {clip.n_frames} frames at {clip.rate_hz:g} Hz are too few to find cycles in"
         raise ClipError(f"{said}; two cycles of {config.shortest_s:g} s are {fewest} frames")
     if config.shortest_s * clip.rate_hz < 6:
         raise ClipError(f"{clip.rate_hz:g} frames a second are too few for cycles of {config.shortest_s:g} s")

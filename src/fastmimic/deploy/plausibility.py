@@ -151,7 +151,7 @@ class Senses:
         """Two sensors that say different things."""
         for sum_, limit in ((self._turn, self._turn_limit), (self._soon, _SOON * self._turn_limit)):
             if (turn := math.hypot(*sum_.tolist())) > limit:
-                return IMU, f"orientation and gyroscope differ by {turn:.2f} rad; {limit:g} are allowed"
+                return IMU, f"orientation and gyroscope differ by {turn:.2g} rad; {limit:g} are allowed"
         off = math.dist(self._mean.tolist(), (0.0, 0.0, GRAVITY)) / GRAVITY
         if off > self._gravity_limit:
             mean = ", ".join(f"{value:.1f}" for value in self._mean)

@@ -123,8 +123,7 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
         check_positive(scale, "the scale")
     if min(clip.n_frames, round((clip.n_frames - 1) / clip.rate_hz * rate_hz)) < MIN_FRAMES:
         found = f"{clip.n_frames} at {clip.rate_hz:g} Hz"
-        name = clip.origin.source or clip.origin.name or "the clip"
-        raise ClipError(f"{name}: retargeting needs at least {MIN_FRAMES} frames, found {found}; choose a longer cut")
+        raise ClipError(f"{clip.origin}: retargeting needs at least {MIN_FRAMES} frames, found {found}; cut longer")
 
 
 def is_one_cycle(clip: Clip) -> bool:

@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
+from fastmimic.clips.formats.text_table import is_number
 
 LOST_S: Final = 0.5
 """Without a command for so long, the robot is to stand."""
@@ -51,7 +52,7 @@ class CommandScript:
             raise ConfigError(f"{path}: no such file") from None
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path} has no velocities: {error}") from None
-        named = bool(lines) and not any(map(_is_number, lines[0].split(",")))
+        named = bool(lines) and not any(map(is_number, lines[0].split(",")))
         found = [_numbers(line, f"{path}, line {i}") for i, line in enumerate(lines[named:], 1 + named)]
         if not found:
             raise ConfigError(f"{path} has no velocities: no line of numbers")
@@ -63,14 +64,6 @@ class CommandScript:
     def velocity(self, time_s: float) -> Array | None:
         row = int(np.searchsorted(self._rows[:, 0], time_s, side="right")) - 1
         return None if row < 0 else np.array(self._rows[row, 1:])
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _numbers(line: str, where: str) -> list[float]:
