@@ -4,19 +4,20 @@ import numpy as np
 import pytest
 
 from clips.test_segment import cycles
+from fastmimic.base.arrays import Flags
 from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.base.rotations import rotate_planar, yaw_from_quat
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.synthesis import gait, keypoints
-from fastmimic.reference.course import course_of
+from fastmimic.reference.course import COURSE, course_of
 from fastmimic.reference.regulator import motion_gains
 from fastmimic.reference.regulator_config import RegulatorConfig
 from fastmimic.reference.standing import standing
 from fastmimic.reference.table import GAIN_SAMPLES, SAMPLE
 from fastmimic.retargeting.retarget import retarget
 from fastmimic.robot import Robot, load_robot
-from fastmimic.steering.gait import Gait, _rows_until
+from fastmimic.steering.change import rows_to_change
 from fastmimic.steering.gait_field import RATE_HZ, GaitField, Grid, gait_field, gaits_of
 from fastmimic.steering.steered import Steered
 
@@ -97,7 +98,7 @@ def test_a_fast_gait_that_the_robot_cannot_do_is_left_out(
         if clip.origin.name == too_much:
             raise MotionError(f"{robot.name} cannot be steered by {too_much}")
         axes = [np.array(axis) for axis in (grid.forwards, grid.sideways, grid.turning)]
-        return GaitField(clip.origin.name, robot, *axes, np.zeros((1, 1)), np.zeros((1, 1)), slower)
+        return GaitField(clip.origin.name, robot, *axes, np.zeros((4, 1), COURSE), np.zeros((4, 1)), slower)
 
     monkeypatch.setattr("fastmimic.steering.gait_field._field", field)
     with pytest.raises(MotionError, match="by walk"):
@@ -124,21 +125,16 @@ def test_a_gait_that_cannot_be_slow_has_passages_at_the_nearest_speeds(gaits: Ga
         assert passage.field.gains.shape[1] == -(-len(rows) // GAIN_SAMPLES)
 
 
-def gait_with(contact: list[tuple[int, int, int, int]]) -> Gait:
-    """What of a gait the change to another one depends on: which feet stand, for a tenth of a second each."""
-    stands = np.repeat(np.array(contact, bool), round(0.1 * RATE_HZ), axis=0)
-    made = object.__new__(Gait)
-    made.contact = stands
-    made._change_s = np.maximum(_rows_until(stands), _rows_until(~stands)) / RATE_HZ
-    made._since_s = np.maximum(_rows_until(stands[::-1]), _rows_until(~stands[::-1]))[::-1] / RATE_HZ
-    return made
+def stands(*contacts: tuple[int, int, int, int]) -> Flags:
+    """Which feet stand, for a tenth of a second each."""
+    return np.repeat(np.array(contacts, bool), round(0.1 * RATE_HZ), axis=0)
 
 
 def test_a_pace_is_not_entered_from_a_trot_on_feet_that_are_in_the_air() -> None:
-    trot = gait_with([(1, 0, 0, 1), (0, 1, 1, 0)])
-    pace = gait_with([(1, 0, 1, 0), (0, 1, 0, 1)])
-    walking_trot = gait_with([(1, 1, 1, 1), (1, 0, 0, 1), (1, 1, 1, 1), (0, 1, 1, 0)])
-    assert (pace.rows_from(trot) < 0).all()
-    assert (trot.rows_from(pace) < 0).all()
-    assert (trot.rows_from(trot) >= 0).any()
-    assert (walking_trot.rows_from(trot) >= 0).any()
+    trot = stands((1, 0, 0, 1), (0, 1, 1, 0))
+    pace = stands((1, 0, 1, 0), (0, 1, 0, 1))
+    walking_trot = stands((1, 1, 1, 1), (1, 0, 0, 1), (1, 1, 1, 1), (0, 1, 1, 0))
+    assert (rows_to_change(trot, pace, RATE_HZ) < 0).all()
+    assert (rows_to_change(pace, trot, RATE_HZ) < 0).all()
+    assert (rows_to_change(trot, trot, RATE_HZ) >= 0).any()
+    assert (rows_to_change(trot, walking_trot, RATE_HZ) >= 0).any()

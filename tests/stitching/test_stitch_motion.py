@@ -123,6 +123,14 @@ class TestTransitions:
             # the test's gaits start and end their swings with a kink in the acceleration
             assert np.abs(moved - mean).max() < 0.02 * np.abs(velocity).max() + 0.02, name
 
+    def test_joints_go_smoothly_into_a_transition_and_out_of_it(self, stitched: Motion) -> None:
+        """It was put in as it was solved, some mrad off between the nodes: a joint's speed jumped by 3 rad/s."""
+        jerk = np.abs(np.diff(stitched.joint_pos, 3, axis=0)).max(axis=1) / stitched.dt**3
+        for segment in Layout.of(stitched).segments[1:]:
+            assert segment.rebuilt is not None
+            for seam in (segment.rebuilt.start, segment.rebuilt.end):
+                assert jerk[seam - 3 : seam + 1].max() < np.quantile(jerk, 0.99)
+
     def test_standing_feet_stand_still(self, stitched: Motion, robot: Robot) -> None:
         assert demands(robot, stitched).slide_m < 3e-3  # but for what they roll, in a turn about a fixed heading
         height = stitched.foot_pos_w[..., 2][stitched.contact]

@@ -6,8 +6,9 @@ again, at the velocity between theirs, and the velocity can change in every cont
 velocities forwards and to the left and the turn rate. The greatest turn rate depends on the forward velocity, as the
 ground has to give their product as centripetal acceleration.
 
-A gait that cannot be slow, such as a canter, is reached from the slower one by a passage, and left by another: the
-transition of stitched motions, solved by optimal control, straight ahead at about the slower gait's top speed.
+A gait that cannot be slow, such as a canter, or in which never the same feet stand as in the slower one, as in a trot
+after a pace, is reached from the slower one by a passage, and left by another: the transition of stitched motions,
+solved by optimal control, straight ahead at about the slower gait's top speed.
 """
 
 import dataclasses
@@ -19,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from fastmimic.base.arrays import Array, Records
+from fastmimic.base.arrays import Array, Flags, Records
 from fastmimic.base.errors import ClipError, MotionError
 from fastmimic.clips.clip import Clip, ClipOrigin
 from fastmimic.clips.segment import find_segments
@@ -36,6 +37,7 @@ from fastmimic.reference.table import GAIN_SAMPLES
 from fastmimic.retargeting.retarget import is_one_cycle, retarget
 from fastmimic.robot import Robot, load_robot
 from fastmimic.robot.robot import length_ratio
+from fastmimic.steering.change import rows_between
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.executable import falls_with, nearest_executable
 from fastmimic.trajectory.solved import Remembered
@@ -127,6 +129,16 @@ class GaitField:
     def __repr__(self) -> str:
         return f"<GaitField {' over '.join(gait.name for gait in self.chain())} of {self.robot.name}>"
 
+    @property
+    def contact(self) -> Flags:
+        """Which feet stand (t, 4), at any velocity."""
+        return np.asarray(self.rows[len(self.rows) // 2 - 1]["contact"] != 0)
+
+    @property
+    def can_stand(self) -> bool:
+        """Whether it can be as slow as one likes."""
+        return bool(self.forwards[0] <= 0.0)
+
     def chain(self) -> "list[GaitField]":
         """This gait and all slower ones."""
         return [self, *(self.slower.chain() if self.slower is not None else ())]
@@ -188,7 +200,7 @@ def gait_field(
         own = grid if k == widest else slow(speed) if k < widest else fast(speed)
         try:
             made = _field(source, clip, robot, own.sized(size), found, progress, LocalExecutor(workers))
-            if found is not None and own.forwards[0] > 0.0:
+            if found is not None:
                 made = dataclasses.replace(made, passages=_passages(robot, (before, clip), (found, made)))
         except MotionError as error:
             if k <= widest:
@@ -266,9 +278,15 @@ def _made(
     return {name: np.stack(each)[..., None].view("u1") for name, each in (("rows", rows), ("gains", gains))}
 
 
-def _passages(robot: Robot, clips: tuple[Clip, Clip], fields: tuple[GaitField, GaitField]) -> tuple[Passage, Passage]:
-    """From a gait to a faster one, and back, between their nearest speeds."""
-    speeds = min(product(*(field.forwards.tolist() for field in fields)), key=lambda pair: abs(pair[0] - pair[1]))
+def _passages(
+    robot: Robot, clips: tuple[Clip, Clip], fields: tuple[GaitField, GaitField]
+) -> tuple[Passage, Passage] | None:
+    """From a gait to a faster one, and back, between the top speed of the slower one and the other's nearest. None if
+    they need none; where both can stand between them, none that fails."""
+    if fields[1].can_stand and rows_between(fields[0].contact, fields[1].contact, RATE_HZ)[0].max() >= 0:
+        return None
+    top = float(fields[0].forwards[-1])
+    speeds = top, min(fields[1].forwards.tolist(), key=lambda speed: abs(speed - top))
     given = [np.array(speeds), *(clip.points_w for clip in clips), *(field.rows["root_z"] for field in fields)]
     known = Remembered(repr(("passages", robot.said, [clip.rate_hz for clip in clips])), given, outcome=True)
     found = known.read()
@@ -277,6 +295,8 @@ def _passages(robot: Robot, clips: tuple[Clip, Clip], fields: tuple[GaitField, G
         found = {}
         for name, (one, other) in (("up", (0, 1)), ("down", (1, 0))):
             way = make_course_transition(robot, motions[one], motions[other], RegulatorConfig())
+            if way is None and fields[1].can_stand:
+                return None
             if way is None:
                 raise MotionError(f"{robot.name} cannot go over from {fields[one].name} to {fields[other].name}")
             part = way.course[way.first : way.last]

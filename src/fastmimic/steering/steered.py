@@ -12,7 +12,7 @@ else differs fades (as in games: Bollo 2018, "Inertialization"). A gait that can
 field's passages.
 """
 
-from itertools import pairwise, permutations
+from itertools import combinations, pairwise, permutations
 from typing import Any, Final
 
 import numpy as np
@@ -20,12 +20,14 @@ import numpy as np
 from fastmimic.base.arrays import Array, Records
 from fastmimic.base.errors import ConfigError
 from fastmimic.reference.course import make_work
+from fastmimic.steering.change import rows_between
 from fastmimic.steering.gait import LANDED, SPARE, Gait
 from fastmimic.steering.gait_field import RATE_HZ, GaitField, Passage
 from fastmimic.steering.mixture import FEET, MIXTURE, ROLL, STEERED, advance, fill, mix, put
 
 _CALM: Final = (0.1, 0.05, 0.1)  # m/s, m/s, rad/s: near enough to the velocity at which a passage begins
 _CALM_RATE: Final = (1.0, 0.5, 1.0)  # and its rate, 1/s
+_ASIDE: Final = (0.15, 0.3)  # m/s to the side and rad/s that may be left out during a passage
 _LATE: Final = 5  # rows by which a passage may begin later
 
 
@@ -40,11 +42,15 @@ class Steered:
     def __init__(self, field: GaitField) -> None:
         self.field = field
         self._gaits = [Gait(each) for each in reversed(field.chain())]  # the slowest first
-        self._ways = {(one, other): one.rows_from(other) for one, other in permutations(self._gaits, 2)}
         self._passages = {
             between: (passage, Gait(passage.field))
             for pair in pairwise(self._gaits)
             for between, passage in zip((pair, pair[::-1]), pair[1].field.passages or (), strict=False)
+        }
+        self._ways = {
+            pair: np.full_like(rows, -1) if pair in self._passages else rows
+            for two in combinations(self._gaits, 2)
+            for pair, rows in zip(permutations(two), rows_between(two[0].contact, two[1].contact, RATE_HZ), strict=True)
         }
         self._gait = self._gaits[0]
         self._passing: tuple[Passage, Gait] | None = None  # and what comes after it
@@ -86,6 +92,11 @@ class Steered:
         self.place["wanted"] = self._gait.field.nearest(self._asked)
         return np.array(self._asked)
 
+    @property
+    def _straight(self) -> bool:
+        """Whether what is asked for is about straight ahead."""
+        return bool((np.abs(self._asked[1:]) <= _ASIDE).all())
+
     def _choose(self) -> None:
         """All gaits, those first that come nearest to what is asked for, of equal ones the slowest; and of the gaits
         that have it, those that have some to spare."""
@@ -119,7 +130,8 @@ class Steered:
 
     def _change_gait(self) -> None:
         """Goes over to the first of the preferred gaits that has the present velocity, as soon as the same feet stand,
-        or by a passage; to a slower one only if that has some to spare: a trembling stick changes nothing."""
+        or by a passage; to a slower one only if that has some to spare: a trembling stick changes nothing. A passage
+        goes straight ahead: who is to turn stands between two gaits, if both can, or stays in one that has it."""
         place, now, row = self.place[0], self._gait, int(self.place["position"][0])
         if self._passing is not None:
             passage, gait = self._passing
@@ -138,22 +150,22 @@ class Steered:
                 put(*gait.given, place, *self._work)
         elif place["stands"] > 0.0:
             return
-        elif (now, gait) in self._passages:
+        elif (now, gait) in self._passages and (self._straight or not (now.field.can_stand and gait.field.can_stand)):
             self._pass(gait, row)
-        elif (other := self._ways[gait, now][row]) >= 0:
+        elif (other := self._ways[now, gait][row]) >= 0:
             self._go_over(gait, other)
-        elif (self._ways[gait, now] < 0).all() and not now.field.has(self._asked):
+        elif (self._ways[now, gait] < 0).all() and not now.field.has(self._asked):
             place["wanted"] = 0.0  # it comes to stand, and begins anew
 
     def _next_gait(self, now: Gait) -> Gait:
         """The first of the preferred gaits that can follow the present one, or standing."""
         place = self.place[0]
         if place["standing"] == 1:
-            slow = [gait for gait in self._preferred if gait.field.passages is None]
+            slow = [gait for gait in self._preferred if gait.field.can_stand]
             return next((gait for gait in slow if gait in self._ample), slow[0])
         for gait in self._preferred:
             spared = gait in self._ample or self._gaits.index(gait) > self._gaits.index(now)
-            fits = gait.field.passages is None and gait.field.has(place["velocity"])
+            fits = gait.field.can_stand and gait.field.has(place["velocity"])
             if gait is now or (spared and (fits or (now, gait) in self._passages)):
                 return gait
         return now

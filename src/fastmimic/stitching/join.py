@@ -24,7 +24,7 @@ from fastmimic.retargeting.feet import Reach
 from fastmimic.retargeting.track import TrunkTrack, steps
 from fastmimic.robot import Robot
 from fastmimic.stitching.switch import Cycle, Switch, best_switch
-from fastmimic.stitching.transition import Layout, make_transition, too_short
+from fastmimic.stitching.transition import Layout, make_transition, put_transition, too_short
 
 SEGMENT_S: Final = 3.0  # default length of a segment, rounded to whole cycles
 MAX_S: Final = 600.0
@@ -63,8 +63,7 @@ def stitch_motions(robot: Robot, motions: Sequence[Motion], cycles: Sequence[int
         cycles_of = own[i - 1], own[i]
         span, found, measured = make_transition(robot, layout, i, track, raw_w, contact, cycles_of, rate, config)
         transitions.append((span, measured))
-        for name, values in found.items():
-            arrays[name][span.start : span.end] = values
+        put_transition(arrays, span, found, rate)
     arrays["root_quat_wxyz"] = quat_continuous(arrays["root_quat_wxyz"])
     rebuilt = (replace(s, rebuilt=span) for s, (span, _) in zip(layout.segments[1:], transitions, strict=True))
     layout = Layout((layout.segments[0], *rebuilt), layout.n)

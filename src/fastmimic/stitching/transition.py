@@ -21,8 +21,8 @@ from fastmimic.robot import Robot
 from fastmimic.stitching.switch import Cycle
 from fastmimic.trajectory.executable import executable_between
 
-_PAD: Final = 4  # samples at the ends that are not taken: their derivatives have neighbours on one side alone
 _KEPT_S: Final = 0.03  # of the motions before and after what is rebuilt
+_RATES: Final = {"joint_vel": "joint_pos", "root_lin_vel_w": "root_pos_w"}
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,8 @@ def make_transition(
     guess = motion_of(pose_at(robot, local, feet, height), local, contact[part], rate_hz)
     found = executable_between(robot, guess)
     motion = found.motion
-    inner = slice(_PAD, motion.n_samples - _PAD)
     rows = ("root_pos_w", "root_quat_wxyz", "joint_pos", "joint_vel", "foot_pos_b", "root_lin_vel_w", "root_ang_vel_w")
-    arrays = {name: getattr(motion, name)[inner] for name in rows}
+    arrays = {name: getattr(motion, name) for name in rows}
     start = np.array([*guess.root_pos_w[0, :2], 0.0])  # the solution begins at x = y = 0
     arrays["root_pos_w"] = arrays["root_pos_w"] + start
     longest = max((s.duration for stances in planned for s in stances), default=0)
@@ -115,11 +114,31 @@ def make_transition(
         "joint_speed_share": found.figures.peak["joint speed"],
         "torque_share": found.figures.peak["torque"],
         "friction": found.figures.peak["friction"],
-        "duration_s": (motion.n_samples - 2 * _PAD) / rate_hz,
+        "duration_s": motion.n_samples / rate_hz,
         "longest_stance_s": longest / rate_hz,
         "least_feet": int(motion.contact.sum(axis=1).min()),
     }
-    return Span(window.start + _PAD, window.end - _PAD), arrays, measured
+    return window, arrays, measured
+
+
+def put_transition(whole: dict[str, Array], span: Span, found: dict[str, Array], rate_hz: float) -> None:
+    """Puts the samples of a transition into those of the whole. Between the nodes of its solution, legs that swing are
+    some mrad off the motions that it joins: at either end it is blended with them for as long as they are kept."""
+    t, kept = np.arange(span.start, span.end), round(_KEPT_S * rate_hz)
+    begins, ends = Span(span.start, span.start + kept), Span(span.end - 1 - kept, span.end - 1)
+    weight = begins.smooth_step(t) - ends.smooth_step(t)
+    slope = np.gradient(weight) * rate_hz
+    old = {name: whole[name][t] for name in found}
+    for name, new in found.items():
+        share, rate = (each.reshape(-1, *[1] * (new.ndim - 1)) for each in (weight, slope))
+        if name == "root_quat_wxyz":
+            old[name] *= np.sign(np.sum(old[name] * new, axis=-1, keepdims=True))
+        mixed = (1.0 - share) * old[name] + share * new
+        if name in _RATES:
+            mixed += rate * (found[_RATES[name]] - old[_RATES[name]])
+        if name == "root_quat_wxyz":
+            mixed /= np.linalg.norm(mixed, axis=-1, keepdims=True)
+        whole[name][t] = mixed
 
 
 def _plan(
