@@ -608,9 +608,7 @@ _TEXTS: Final[dict[str, tuple[str, ...]]] = {
     "grade": ("A", "B", "rejected"),
     "device": ("cpu", "cuda"),
 }
-_LIKE: Final = {
-    name: "motion" for name in ("motions", "source", "take", "clip", "sources", "runs", "library", "warm_start")
-}
+_LIKE: Final = {name: "motion" for name in ("motions", "source", "take", "clip", "sources", "runs", "library")}
 _OUTS: Final = (
     "out",
     "out.npz",

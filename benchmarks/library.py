@@ -1,7 +1,6 @@
-"""What a library costs: time, memory and disk a motion, what several processes make of it, and what warm starts save.
+"""What a library costs: time, memory and disk a motion, and what several processes make of it.
 
     python benchmarks/library.py cost [--json] [--write]        # about 5 minutes on two idle cores
-    python benchmarks/library.py warm [--write]                 # needs FASTMIMIC_DATA; about as long
     python benchmarks/library.py takes [--write] [--out LIBRARY]  # a library of all of the dog's recordings
     python benchmarks/library.py index [--write] [--records N]  # what many records cost; 100,000 take minutes
 
@@ -11,7 +10,6 @@
 import argparse
 import hashlib
 import json
-import math
 import os
 import re
 import resource
@@ -26,7 +24,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from docs_table import put
 
 from fastmimic.base.arrays import fingerprint
@@ -36,23 +33,17 @@ from fastmimic.dataset import BuildRequest, BuildSettings, DatasetSource, Motion
 from fastmimic.dataset.build import BuildStep
 from fastmimic.dataset.excerpts import Survey, look_of, survey
 from fastmimic.dataset.index import DONE, FIGURES, record_file, sha256
-from fastmimic.dataset.jobs import Job, perform, place_of
+from fastmimic.dataset.jobs import Job, perform
 from fastmimic.executors import Executor, Report, make_executor
 from fastmimic.executors.local import LocalExecutor
-from fastmimic.imitation.imitate import imitate
 from fastmimic.optimize.cma_es import MOST_ITERATIONS
 from fastmimic.robot import load_robot
-from fastmimic.runs.loading import load_motion
 
 PAGE = Path(__file__).parents[1] / "docs" / "library.md"
 MOTIONS = ("trot", "pace", "turn", "side-step")
 SHORT, LONG = 5, 25
 CLIPS = 100_000
 CORES = 1000
-
-WARM_MOTIONS = ("dog:trot", "dog:pace", "dog:right-turn", "dog:canter", "anim:side-steps")
-WARM_ITERATIONS, WARM_SEEDS = 30, 2
-WARM_WITHIN = 0.001
 
 
 def measured(job: Job, report: Report) -> tuple[dict[str, Any], float]:
@@ -154,78 +145,6 @@ def cost_table(c: dict[str, Any]) -> str:
         f" {CORES:,} cores {hours / CORES:.1f} h; {CLIPS * kb / 1e6:,.0f} GB of disk, of which the checkpoints"
         f" ({CLIPS * c['kb']['checkpoint'] / 1e6:,.0f} GB) may be removed. The {CORES:,} processes need"
         f" {CORES * c['memory_mb'] / 1e6:.1f} TB of memory in all."
-    ]
-    return "\n".join(lines)
-
-
-def warm(say: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Searches of each motion from the unmodulated one and from the nearest other one's result, seed by seed."""
-    robot = load_robot("a1")
-    pieces = {name: survey(DatasetSource(name), 0.0).pieces[0] for name in WARM_MOTIONS}
-    motions = {name: load_motion(name, robot) for name in WARM_MOTIONS}
-    cold: dict[tuple[str, int], Any] = {}
-    for name in WARM_MOTIONS:
-        for seed in range(WARM_SEEDS):
-            cold[name, seed] = imitate(motions[name], robot, iterations=WARM_ITERATIONS, seed=seed)
-            say(f"{name} seed {seed}, cold: {best_so_far(cold[name, seed])[-1]:.4f}")
-    rows = []
-    for name in WARM_MOTIONS:
-        apart = {n: math.dist(place_of(pieces[name]), place_of(pieces[n])) for n in WARM_MOTIONS if n != name}
-        near = min(apart, key=apart.__getitem__)
-        for seed in range(WARM_SEEDS):
-            # another seed's result: what a library has is not of the same search
-            start = cold[near, (seed + 1) % WARM_SEEDS].motion
-            found = imitate(motions[name], robot, iterations=WARM_ITERATIONS, seed=seed, warm_start=start)
-            rows.append(
-                {
-                    "motion": name,
-                    "near": near,
-                    "distance": apart[near],
-                    "seed": seed,
-                    "unmodulated": cold[name, seed].history.baseline,
-                    "given": found.history.start if found.history else None,
-                    "cold": best_so_far(cold[name, seed]).tolist(),
-                    "warm": best_so_far(found).tolist(),
-                }
-            )
-            say(f"{name} seed {seed}, like {near}: {rows[-1]['warm'][-1]:.4f}")
-    return rows
-
-
-def best_so_far(result: Any) -> Any:
-    """(iterations + 1,) the best score until then, before the first iteration included."""
-    history = result.history
-    return np.maximum.accumulate(np.concatenate([[history.start], history.best]))
-
-
-def warm_table(rows: Sequence[dict[str, Any]]) -> str:
-    """As Markdown."""
-    lines = [
-        "| motion | begins like | distance | unmodulated | first candidate | cold, best | generations, cold | warm |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    saved = []
-    for name in WARM_MOTIONS:
-        own = [row for row in rows if row["motion"] == name]
-        counts = []
-        for row in own:
-            goal = row["cold"][-1] - WARM_WITHIN
-            counts.append([next((i for i, v in enumerate(row[k]) if v >= goal), None) for k in ("cold", "warm")])
-        saved += [(c - w) / c for c, w in counts if c and w is not None]
-        first = own[0]
-        lines.append(
-            f"| `{name}` | `{first['near']}` | {first['distance']:.1f} | {first['unmodulated']:.3f} |"
-            f" {statistics.mean(r['given'] for r in own):.3f} | {statistics.mean(r['cold'][-1] for r in own):.3f} |"
-            f" {', '.join(str(c) for c, _ in counts)} |"
-            f" {', '.join('–' if w is None else str(w) for _, w in counts)} |"
-        )
-    never = sum(1 for row in rows if all(value < row["cold"][-1] - WARM_WITHIN for value in row["warm"]))
-    lines += [
-        "",
-        f"Generations until the best score is within {WARM_WITHIN:g} of what {WARM_ITERATIONS} generations from the"
-        f" unmodulated motion find, {WARM_SEEDS} seeds; '–': not within as many. Saved:"
-        f" {100 * statistics.mean(saved):.0f} % of them in the mean of those that get there, {never} of {len(rows)} do"
-        " not.",
     ]
     return "\n".join(lines)
 
@@ -337,7 +256,7 @@ def index_table(rows: Sequence[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["cost", "warm", "takes", "index"])
+    parser.add_argument("what", choices=["cost", "takes", "index"])
     parser.add_argument("--json", action="store_true", help="print figures instead of a table")
     parser.add_argument("--write", action="store_true", help="into docs/library.md")
     parser.add_argument("--out", type=Path, default=Path("runs/takes"), help="the library of `takes`")
@@ -351,9 +270,6 @@ def main() -> None:
     if given.what == "cost":
         figures: Any = cost()
         text = cost_table(figures)
-    elif given.what == "warm":
-        figures = warm(say)
-        text = warm_table(figures)
     elif given.what == "index":
         figures = index(given.records, say)
         text = index_table(figures)

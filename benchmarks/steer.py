@@ -7,9 +7,10 @@ Each episode lasts 30 s from standing in the middle of the ground, or until the 
 and come every 10 s. A robot that falls gets up and goes on.
 
 `style_distance` compares the robot's feet with those of the gait at its present velocity, without what steering shifts
-them by, period by period; a median. `jerk_at_changes` is the joints' jerk, RMS, in the 0.3 s after a change of gait, as
-a share of that in all other strides. `search_us` is the time in which the reference finds its gait and row and goes
-on, in each control step; `share_of_takes_used` is that of the field's gaits in which the robot went.
+them by, period by period; a median. `jerk_at_changes` is the joints' jerk, RMS, in the 0.3 s after a change of gait, or
+into or out of a passage, as a share of that in all other strides. `search_us` is the time in which the reference finds
+its gait and row and goes on, in each control step; `share_of_takes_used` is that of the field's gaits in which the
+robot went.
 """
 
 import argparse
@@ -107,6 +108,8 @@ class Looks:
 
     def __init__(self, gaits: GaitField) -> None:
         self.robot, self.names = gaits.robot, {gait.name: gait.rows.shape[1] for gait in gaits.chain()}
+        passages = [passage.field.name for gait in gaits.chain() for passage in gait.passages or ()]
+        self.moving = [*self.names, *passages]
         self.style: list[float] = []
         self.jerk_sq: dict[bool, list[Array]] = {True: [], False: []}  # after a change of gait, and not
         self.states: list[str] = []
@@ -126,7 +129,7 @@ class Looks:
         jerk_sq = np.square(np.diff(joints, 3, axis=0) / dt**3)
         changed = np.zeros(len(states), bool)
         for k in np.flatnonzero(states[1:] != states[:-1]) + 1:
-            if states[k] in self.names and states[k - 1] in self.names:
+            if states[k] in self.moving and states[k - 1] in self.moving:
                 changed[k : k + round(CHANGE_S / dt)] = True
         begin = 0
         while begin < len(states):
@@ -136,7 +139,7 @@ class Looks:
                 begin += n
             else:
                 begin += 1
-        strides = np.isin(states, list(self.names))[3:]
+        strides = np.isin(states, self.moving)[3:]
         for after in (True, False):
             self.jerk_sq[after].append(jerk_sq[strides & (changed[3:] == after)].ravel())
         self.states, self.joints, self.feet = [], [], []

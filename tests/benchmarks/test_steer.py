@@ -130,7 +130,7 @@ def test_what_evaluate_cannot_steer_by(arguments: list[str], said: str, capsys: 
     ("lines", "duration", "said"),
     [
         ("0,0.3,0,0\n", [], "no control step in 0 s"),
-        ("-1,0.3,0,0\n", [], "no control step in -1 s"),
+        ("-1,0.3,0,0\n", [], "line 1: its time is negative"),
         ("0,0.3,0,0\n2,0,0,0\n", ["--duration", "0.0005"], "no control step in 0.0005 s"),
     ],
 )

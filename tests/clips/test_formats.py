@@ -33,7 +33,7 @@ def a1():
 
 @pytest.fixture
 def npz(tmp_path: Path) -> Path:
-    return save_motion(tmp_path / "motion.txt")
+    return save_motion(tmp_path / "motion.npz").rename(tmp_path / "motion.txt")
 
 
 @pytest.mark.parametrize("expected", TEXTS)

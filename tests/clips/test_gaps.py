@@ -68,6 +68,13 @@ def test_a_pair_whose_names_are_swapped_is_swapped_back_and_said(swapped: list[s
     assert [sentence.split(" ")[0] for sentence in said] == swapped
 
 
+def test_a_neck_above_the_pelvis_has_no_heading() -> None:
+    points = generate("trot").points_w.copy()
+    points[3, 1, :2] = points[3, 0, :2]
+    with pytest.raises(ClipError, match="above one another in frame 3"):
+        swapped_pairs(points)
+
+
 def test_no_recorded_dog_and_no_gait_has_a_swapped_pair(data_folder: Path) -> None:
     for path in sorted((data_folder / "dog_keypoints").glob("dog_*.txt")):
         assert not swapped_pairs(read_clip(path).points_w), path.name

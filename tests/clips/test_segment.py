@@ -188,6 +188,10 @@ def test_a_take_that_is_too_short_or_too_slow_is_refused() -> None:
         find_segments(Clip(clip.points_w, 12.0))
 
 
+def test_a_take_can_be_named() -> None:
+    assert [segment.gait for segment in find_segments("trot")] == ["trot"]
+
+
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(ConfigError, match="tempo must be positive"):
         SegmentConfig(tempo=0.0)

@@ -480,32 +480,6 @@ def test_takes_are_run_whole_when_asked(data_folder: Path) -> None:
     assert gait.repeats
 
 
-def test_warm_starts_are_of_the_nearest(built: Path, tmp_path: Path) -> None:
-    rows = {row["name"]: row for row in MotionDataset.open(built).index()}
-    done = build_dataset(of("pace", warm=MotionDataset.open(built)), tmp_path, HERE)
-    assert [row["warm_start"] for row in done.table.to_pylist()] == [rows["pace"]["id"]]
-    assert done.table.to_pylist()[0]["id"] != rows["pace"]["id"]
-    assert done.table.to_pylist()[0]["reward_mean"] >= rows["pace"]["reward_mean"] - 1e-3
-
-
-def test_of_several_starts_the_one_of_the_last_build_counts(built: Path, mine: Path) -> None:
-    def starts(building: BuildRequest) -> list[str | None]:
-        rows = build_dataset(building, mine, HERE).table.to_pylist()
-        return [row["warm_start"] for row in rows if row["name"] == "pace"]
-
-    cold = {row["name"]: row["id"] for row in MotionDataset.open(mine).index()}
-    warm = replace(of("pace"), warm=MotionDataset.open(built))
-    assert starts(warm) == [cold["pace"]]
-    (old,) = MotionDataset.open(mine).gathered().superseded
-    (row,) = MotionDataset.open(mine).find("pace")
-    assert (old.id, old.why) == (cold["pace"], f"begun otherwise; instead of it there is {row['id']}")
-    assert starts(of("pace")) == [None]
-    assert starts(warm) == [cold["pace"]]
-    health, removed = repair(MotionDataset.open(mine))
-    assert removed == len(health.foreign) == 2  # the record, and its motion
-    assert {row["name"] for row in MotionDataset.open(mine).index()} == {"pace", "trot"}
-
-
 def test_a_rerun_notices_another_reward(mine: Path) -> None:
     library = MotionDataset.open(mine)
     assert rerun(library, 5) == ([], 2)

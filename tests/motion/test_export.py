@@ -72,7 +72,7 @@ class TestSampling:
 
     @pytest.mark.parametrize("fps", [0.0, -1.0, 501.0, np.nan])
     def test_rates_that_cannot_be_are_refused(self, motion: Motion, fps: float) -> None:
-        with pytest.raises(ConfigError, match="fps must be above 0 and at most the motion's 500"):
+        with pytest.raises(ConfigError, match="frames a second must be above 0 and at most the motion's 500"):
             sample(motion, fps)
 
 
@@ -209,7 +209,7 @@ class TestRefusals:
             (("--format", "mjlab", "--out", "x.csv"), "must end in .npz"),
             (("--format", "mjlab", "--out", "."), "must end in .npz"),
             (("--format", "mjlab", "--out", ".."), "must end in .npz"),
-            (("--format", "csv", "--out", "x.csv", "--rate", "1000"), "fps must be above 0 and at most"),
+            (("--format", "csv", "--out", "x.csv", "--rate", "1000"), "frames a second must be above 0 and at most"),
         ],
     )
     def test_one_line(

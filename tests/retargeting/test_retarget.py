@@ -241,6 +241,12 @@ def test_errors_say_what_is_wrong(a1: Robot) -> None:
         retarget(clip, a1, rate_hz=0.0)
     with pytest.raises(ConfigError, match="scale must be positive, found -1"):
         retarget(clip, a1, scale=-1.0)
+    with pytest.raises(ConfigError, match=r"is 0.01 to 100, found 1e-06"):
+        retarget(clip, a1, scale=1e-6)
+    with pytest.raises(ClipError, match="every paw is at its hip"):
+        retarget(replace(clip, points_w=np.zeros_like(clip.points_w)), a1)
+    with pytest.raises(ClipError, match="opened by its name or file, found None"):
+        retarget(None, a1)  # type: ignore[arg-type]
     with pytest.raises(ClipError, match="at least 8 frames, found 5"):
         retarget(clip.cut(0, 5), a1)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from control.motions import gait
-from fastmimic.base.errors import ConfigError, FastMimicError, MotionError, RobotError
+from fastmimic.base.errors import ConfigError, FastMimicError, MotionError, OutputError, RobotError
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.motion.motion import ARRAYS, Motion
 from fastmimic.robot import Robot
@@ -28,6 +28,15 @@ class TestLoadMotion:
         motion.save(tmp_path / "motion.npz")
         loaded = load_motion(tmp_path / "motion.npz", "a1")
         np.testing.assert_array_equal(loaded.joint_pos, motion.joint_pos)
+
+    def test_what_is_no_source_is_told(self, motion: Motion, robot: Robot, tmp_path: Path) -> None:
+        with pytest.raises(MotionError, match=r"a Clip or a Motion, found ndarray"):
+            load_motion(np.zeros(3), robot)  # type: ignore[arg-type]
+        with pytest.raises(OutputError, match=r"x.txt: a motion is written to an .npz"):
+            motion.save(tmp_path / "x.txt")
+        (tmp_path / "a.csv").write_text("a,b\n1,2\n")
+        with pytest.raises(MotionError, match=r"a.csv: not a readable .npz motion \(neither an .npz nor an .npy\)"):
+            Motion.load(tmp_path / "a.csv")
 
     @pytest.mark.parametrize("source", ["trot", "clip"])
     def test_a_name_or_a_clip_is_retargeted(self, robot: Robot, source: str) -> None:

@@ -91,6 +91,7 @@ def test_a_script_has_a_velocity_from_each_time_on(tmp_path) -> None:
         ("0,0,0,0\n1,1,2,x\n", r", line 2: .*; found '1,1,2,x'"),
         ("0,nan,0,0\n1,1,2,0\n", r", line 1: .*; found '0,nan,0,0'"),
         ("0,0,0,0\n1,1,2,nan\n", r", line 2: .*; found '1,1,2,nan'"),
+        ("time_s\n-1,0,0,0\n0,1,0,0\n", r", line 2: its time is negative"),
         ("time_s\n0,0,0,0\n0,1,0,0\n", r", line 3: its time is not later than the one before"),
         ("0,1,2,3\n1,2\n", r", line 2: .*; found '1,2'"),
     ],

@@ -6,8 +6,10 @@ exits with status 2; any other exception that reaches the user is a bug.
 
 import difflib
 import math
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from numbers import Real
 
 
 class FastMimicError(Exception):
@@ -72,12 +74,19 @@ def unknown(what: str, name: str, names: Iterable[str], error: type[FastMimicErr
     return error(f"unknown {what} '{name}'; there are {', '.join(names)}{did_you_mean(name, names)}")
 
 
+def check_path(source: object, what: str, error: type[FastMimicError]) -> None:
+    """Raises `error` unless a source is a name or a path."""
+    if not isinstance(source, str | os.PathLike):
+        raise error(f"{what}, found {'None' if source is None else type(source).__name__}")
+
+
 def check_positive(
     value: float, what: str, error: type[FastMimicError] = ConfigError, shown: str | None = None
 ) -> None:
     """Raises `error` unless a value is positive and finite; `shown` is it with its unit, for the message."""
-    if not (math.isfinite(value) and value > 0):
-        raise error(f"{what} must be positive, found {value if shown is None else shown}")
+    if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+        found = shown or (repr(value) if isinstance(value, str) else value)
+        raise error(f"{what} must be positive, found {found}")
 
 
 @contextmanager

@@ -133,9 +133,19 @@ def open_arrays(path: str | Path | BinaryIO) -> Any:
     most `MOST_BYTES`; an `.npy` is not read yet. Raises one of `UNREADABLE`."""
     if zipfile.is_zipfile(path):
         _check_archive(path)
+    elif not _begins(path).startswith(np.lib.format.MAGIC_PREFIX):
+        raise ValueError("neither an .npz nor an .npy")
     if not isinstance(path, str | Path):
         path.seek(0)
     return np.load(path, mmap_mode="r", allow_pickle=False)
+
+
+def _begins(path: str | Path | BinaryIO) -> bytes:
+    if not isinstance(path, str | Path):
+        path.seek(0)
+        return path.read(8)
+    with Path(path).open("rb") as file:
+        return file.read(8)
 
 
 def _check_archive(path: str | Path | BinaryIO) -> None:

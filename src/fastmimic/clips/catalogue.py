@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fastmimic.base.configuration import parse_pair
-from fastmimic.base.errors import ClipError, did_you_mean, naming
+from fastmimic.base.errors import ClipError, check_path, did_you_mean, naming
 from fastmimic.clips.clip import Clip
 from fastmimic.clips.data import DATASETS, RECORDED, Dataset, data_folder, dataset_of, find_file
 from fastmimic.clips.formats import ReadOptions, read_clip, suffixes, with_scale
@@ -80,6 +80,7 @@ def open_clip(
     The clip has `name`, `source`, `licence` and `credit` in its `origin`. Raises `ClipError` for an unknown name (lists
     the closest), data not fetched, an unreadable file, or an option that does not apply.
     """
+    check_path(name_or_path, "a clip is opened by its name or file", ClipError)
     name, options = str(name_or_path), ReadOptions(robot, fps, up, scale, frames, point_map, travel)
     gait_options = {"speed": speed, "yaw_rate": yaw_rate, "duty": duty}
     if name in motion_names() and point_map is not None:

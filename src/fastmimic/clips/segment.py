@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,7 @@ from fastmimic.base.arrays import Array, Flags, Indices, stretches
 from fastmimic.base.configuration import check, tabulated
 from fastmimic.base.errors import ClipError, ConfigError
 from fastmimic.base.rotations import turned_about_z
+from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
 
 
@@ -177,9 +179,11 @@ class _Take:
         return aperiodicity_of(self.toes, self.rate_hz, self.config)
 
 
-def find_segments(clip: Clip, config: SegmentConfig | None = None) -> list[Segment]:
-    """Cuts a take of at least two cycles into ordered segments without overlap; keeps a clip that its source calls one
-    cycle. Raises `ClipError`: the clip is too short, or its frame rate too low."""
+def find_segments(clip: Clip | str | Path, config: SegmentConfig | None = None) -> list[Segment]:
+    """Cuts a take of at least two cycles, or that of a name or file as for `open_clip`, into ordered segments without
+    overlap; keeps a clip that its source calls one cycle. Raises `ClipError`: it is too short, or its frame rate too
+    low."""
+    clip = clip if isinstance(clip, Clip) else open_clip(clip)
     config = config if config is not None else SegmentConfig()
     if clip.is_cycle and clip.n_frames <= config.longest_s * clip.rate_hz:
         return [as_one_cycle(clip, config)]

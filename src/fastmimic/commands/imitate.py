@@ -20,7 +20,6 @@ from fastmimic.control.config import controller_config
 from fastmimic.executors import check_workers
 from fastmimic.imitation.methods import METHODS, check_controller
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.parameters import moved_by
 from fastmimic.robot import Robot
 from fastmimic.runs.loading import MotionSource, find_motion
 from fastmimic.runs.work_folder import MOTION, RunFolder, default_folder, open_run
@@ -86,7 +85,6 @@ class Imitate(SearchRun):
 
     motion: Annotated[Positional[str], opt.option("MOTION")]
     duration: Annotated[float, opt.option("S")] = 5.0
-    warm_start: Annotated[Path | None, opt.option("FILE.npz")] = None
     no_optimize: opt.Flag = False
     search: opt.Searching
     clip: opt.ClipReading
@@ -129,17 +127,13 @@ class Imitate(SearchRun):
             method = METHODS[method].unoptimised.name
         check_controller(METHODS[method], False)
         self.check_search(method)
-        if self.warm_start is not None:
-            if not METHODS[method].optimises:
-                raise ConfigError(f"method '{method}' does not search, so --warm-start has no effect; drop it")
-            moved_by(Motion.load(self.warm_start))
         return method
 
     def _is_left_as_it_is(self, motion: Motion, method: str) -> bool:
         """Whether a motion that is run once is not optimised: a search takes minutes and gains nothing that shows. One
         that is asked for takes place."""
         once = motion.target.cycle is None and not motion.target.parts
-        asked = opt.given(self.search) or self.folder.resume or self.warm_start is not None
+        asked = opt.given(self.search) or self.folder.resume
         return once and not asked and METHODS[method].optimises
 
     def _imitate(self, robot: Robot, motion: Motion, method: str, folder: RunFolder) -> "Imitation":

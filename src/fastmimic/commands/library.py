@@ -51,7 +51,6 @@ class Build:
     discrete: opt.Flag = False
     whole: opt.Flag = False
     frames: Annotated[str | None, opt.option("A:B")] = None
-    warm_start: Annotated[Path | None, opt.option("LIBRARY")] = None
     exclude: Annotated[tuple[str, ...], opt.option("PATTERN ...")] = ()
     licence: Annotated[str | None, opt.option("TEXT")] = None
     credit: Annotated[str | None, opt.option("TEXT")] = None
@@ -81,7 +80,7 @@ class Build:
         return EXIT_SOME_FAILED if failed else 0
 
     def _building(self) -> "BuildRequest":
-        from fastmimic.dataset import BuildRequest, BuildSettings, MotionDataset, find_sources
+        from fastmimic.dataset import BuildRequest, BuildSettings, find_sources
 
         if self.discrete and self.whole:
             either = "a take is run whole (--whole) or cut into its movements (--discrete)"
@@ -99,10 +98,9 @@ class Build:
         tried = not self.no_second_simulator and second.installed
         lengths = {"duration_s": self.duration, "evaluation_s": self.trial}
         recipe = opt.apply(BuildSettings, self, self.search, second_simulator=tried, **lengths)
-        warm = None if self.warm_start is None else MotionDataset.open(self.warm_start)
         folders = [path.resolve() for place in self.sources if (path := Path(place)).is_dir()]
         cut: Cut = "whole" if self.whole else "segments" if self.discrete else "cycles"
-        return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, cut, warm, folders)
+        return BuildRequest(sources, recipe, self.robots, self.seeds, self.confidence, cut, folders)
 
 
 @opt.command

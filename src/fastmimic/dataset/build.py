@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property, partial
 from pathlib import Path
 from random import Random
@@ -15,8 +15,8 @@ from fastmimic.base.errors import ConfigError, LibraryError, OutputError, Worker
 from fastmimic.base.files import remove_file, write_text
 from fastmimic.dataset.excerpts import Cut, DatasetSource, Survey, look_of, survey, survey_file
 from fastmimic.dataset.folder import BuildSettings, DamagedError, MotionDataset, working
-from fastmimic.dataset.index import FAILED, Gathered, Record, load_record, require_pyarrow, save_record
-from fastmimic.dataset.jobs import Job, Neighbours, give_up, now, perform
+from fastmimic.dataset.index import FAILED, Record, load_record, require_pyarrow
+from fastmimic.dataset.jobs import Job, give_up, now, perform
 from fastmimic.executors import Executor, Report
 from fastmimic.robot import Robot, load_robot
 
@@ -35,7 +35,6 @@ class BuildRequest:
         seeds: searches for each excerpt and robot, with CMA-ES seeds 0 to seeds − 1.
         confidence: least confidence of a cycle found in a take.
         cut: what to imitate of takes.
-        warm: a library with the motions that searches begin from; None to begin from the unmodulated motion.
         folders: absolute paths of the sources' folders; excerpts of files no longer in them are forgotten.
     """
 
@@ -45,7 +44,6 @@ class BuildRequest:
     seeds: int = parameter(1, low=1)
     confidence: float = parameter(CONFIDENCE, high=1.0)
     cut: Cut = "cycles"
-    warm: MotionDataset | None = None
     folders: Sequence[Path] = ()
 
     def __post_init__(self) -> None:
@@ -111,10 +109,9 @@ def build_dataset(
     began = now()
     library = MotionDataset(Path(out).resolve())
     robots = {name: load_robot(name) for name in dict.fromkeys(building.robots)}
-    neighbours = None if building.warm is None else Neighbours.of(building.warm)
     tell = progress if progress is not None else lambda step: None
     with working(library.path, alone=False):
-        return _Builder(building, library, executor, tell).build(robots, neighbours, update=update, began=began)
+        return _Builder(building, library, executor, tell).build(robots, update=update, began=began)
 
 
 def describe_failure(record: Mapping[str, Any]) -> str:
@@ -130,7 +127,7 @@ class _Builder:
     executor: Executor
     tell: Callable[[BuildStep], None]
 
-    def build(self, robots: Mapping[str, Robot], neighbours: Neighbours | None, *, update: bool, began: str) -> Built:
+    def build(self, robots: Mapping[str, Robot], *, update: bool, began: str) -> Built:
         library, request = self.library, self.request
         _begin(library, request.recipe, update)
         digests = {name: fingerprint(robot.content) for name, robot in robots.items()}
@@ -145,8 +142,6 @@ class _Builder:
             if piece.robot in (None, robot.name)
             for seed in range(request.seeds)
         ]
-        if neighbours is not None:
-            jobs = [replace(job, warm=neighbours.nearest(job.piece, job.robot)) for job in jobs]
         jobs = list({job.id: job for job in jobs}.values())
         try:
             done = self._make(jobs)
@@ -154,7 +149,7 @@ class _Builder:
             library.write_index(settled=False)
             raise
         ids = frozenset(job.id for job in jobs)
-        table = self._settle(ids).table
+        table = library.write_index().table
         names = {robot.name for robot in robots.values()}
         others = [p for s in surveys for p in s.pieces if p.robot is not None and p.robot not in names]
         left_out = [f"{piece.source}: already a motion of the {piece.robot}" for piece in others]
@@ -234,15 +229,6 @@ class _Builder:
                     found = self.library.write_index(settled=False)
                     every, since = max(INDEX_EVERY, round(INDEX_SHARE * found.table.num_rows)), 0
         return len(missing)
-
-    def _settle(self, ids: frozenset[str]) -> Gathered:
-        """Writes the final index; of records that differ only in their start, the build's own become the latest."""
-        library = self.library
-        found = library.write_index()
-        earlier = [old.id for old in found.superseded if old.id in ids and old.instead is not None]
-        for record in filter(None, (load_record(library.path, identity) for identity in earlier)):
-            save_record(library.path, record | {"finished": now()})
-        return library.write_index() if earlier else found
 
 
 def _begin(library: MotionDataset, recipe: BuildSettings, update: bool) -> None:

@@ -35,7 +35,7 @@ _GROUPS: Final = {
 }
 FIGURES: Final = _GROUPS["figures"]
 """Columns of a finished motion; figures of episodes have the names of `Metrics`, of the nominal episode where a name
-says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`, `warm_start` the search's start."""
+says no more. `limits_exceeded` is from `fastmimic.episode.feasibility.reasons`."""
 COSTS: Final = _GROUPS["costs"]  # differ between repetitions
 COLUMNS: Final[dict[str, type]] = {**_GROUPS["identity"], **FIGURES, **COSTS}
 """Name → type. A record has a value or None in each. `source` is a record's place, `piece` the digest of the excerpt's
@@ -138,10 +138,7 @@ def grade(record: Mapping[str, Any]) -> tuple[str, str]:
 GRADED: Final = {"grade": str, "lacks": str, "kept": bool, "best": bool}
 """Further columns: the grade, why it is not better, whether the motion is kept, and if it is its excerpt's best."""
 _CHUNK: Final = 2048
-_CHOSEN_BY: Final = (
-    *("id", "name", "robot", "robot_file", "seed", "piece", "robot_digest", "recipe"),
-    *("finished", "grade", "kept", "reward_mean_perturbed"),
-)
+_CHOSEN_BY: Final = (*("id", "name", "robot", "robot_file", "seed", "piece", "grade", "kept", "reward_mean_perturbed"),)
 
 
 def require_pyarrow() -> Any:
@@ -151,14 +148,13 @@ def require_pyarrow() -> Any:
 
 @dataclass(frozen=True)
 class Superseded:
-    """A record that no longer belongs to the library, `why`, and `instead`, a later one of the same search, if any."""
+    """A record that no longer belongs to the library, and `why`."""
 
     id: str
     name: str
     robot: str
     seed: int
     why: str
-    instead: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,29 +229,19 @@ def gather(folder: Path, plan: Membership) -> Gathered:
     while chunk := list(islice(found, _CHUNK)):
         batches.append(pyarrow.RecordBatch.from_pylist(chunk, schema=schema))
     table = pyarrow.Table.from_batches(batches, schema=schema)
-    rows, best = _chosen(table.select(_CHOSEN_BY).to_pylist(), superseded)
+    rows, best = _sorted(table.select(_CHOSEN_BY).to_pylist())
     table = table.take(pyarrow.array(rows, pyarrow.int64()))
     return Gathered(table.append_column("best", pyarrow.array(best, pyarrow.bool_())), superseded, torn)
 
 
-def _chosen(rows: Sequence[Record], superseded: list[Superseded]) -> tuple[list[int], list[bool]]:
-    """The last of each search, as sorted indices of the rows, which are by id, and whether each is the best of its
-    excerpt and robot; adds the others to `superseded`."""
-    by_time = sorted(range(len(rows)), key=lambda i: rows[i]["finished"] or "")
-    last = {_search(rows[i]): i for i in by_time}
-    for i, row in enumerate(rows):
-        if (instead := last[_search(row)]) != i:
-            later = rows[instead]["id"]
-            why = f"begun otherwise; instead of it there is {later}"
-            superseded.append(Superseded(row["id"], row["name"], robot_of(row), row["seed"], why, later))
-    from_last = sorted(last.values(), reverse=True)  # of equally good ones the first by id is the best
-    by_rank = sorted(from_last, key=lambda i: (RANKS.index(rows[i]["grade"]), rows[i]["reward_mean_perturbed"] or 0.0))
-    best = {_search(rows[i])[:2]: i for i in by_rank}
-    found = sorted(from_last, key=lambda i: [rows[i][name] for name in ("name", "robot", "seed", "id")])
+def _sorted(rows: Sequence[Record]) -> tuple[list[int], list[bool]]:
+    """Indices of the rows, which are by id, as they are sorted, and whether each is the best of its excerpt and robot;
+    of equally good ones the first by id is."""
+    by_rank = sorted(
+        reversed(range(len(rows))),
+        key=lambda i: (RANKS.index(rows[i]["grade"]), rows[i]["reward_mean_perturbed"] or 0.0),
+    )
+    best = {(rows[i]["piece"], robot_of(rows[i])): i for i in by_rank}
+    found = sorted(range(len(rows)), key=lambda i: [rows[i][name] for name in ("name", "robot", "seed", "id")])
     chosen = set(best.values())
     return found, [i in chosen and rows[i]["kept"] for i in found]
-
-
-def _search(row: Record) -> tuple[Any, ...]:
-    """Excerpt, robot and more: the same for records that differ only in their start."""
-    return row["piece"], robot_of(row), row["seed"], row["robot_digest"], row["recipe"]

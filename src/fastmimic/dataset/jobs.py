@@ -4,11 +4,9 @@ A job reads its source, resumes from its checkpoint if there is one, and writes 
 share nothing else, so they can run anywhere, at any time and repeatedly.
 """
 
-import math
 import re
 import socket
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property, partial
@@ -16,15 +14,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fastmimic.base.arrays import Array, fingerprint
-from fastmimic.base.errors import CheckpointError, FastMimicError, LibraryError, OutputError
+from fastmimic.base.arrays import fingerprint
+from fastmimic.base.errors import CheckpointError, FastMimicError, OutputError
 from fastmimic.base.machine import versions
 from fastmimic.base.text import plain
 from fastmimic.dataset.excerpts import Excerpt, reason_of
-from fastmimic.dataset.folder import SETTINGS, BuildSettings, MotionDataset, Row
-from fastmimic.dataset.index import COLUMNS, DONE, FAILED, MOTIONS, Record, load_record, robot_of, save_record, sha256
+from fastmimic.dataset.folder import SETTINGS, BuildSettings
+from fastmimic.dataset.index import COLUMNS, DONE, FAILED, MOTIONS, Record, load_record, save_record, sha256
 from fastmimic.episode.feasibility import demands, describe_fall, reasons
 from fastmimic.episode.loop import run_episodes
 from fastmimic.episode.metrics import Metrics
@@ -43,22 +40,6 @@ WORK: Final = "work"
 _SEARCH: Final = 0.85  # approximate share of a job's time in the search
 _TRIALS_SEED: Final = 20230618
 _SECOND_SIMULATOR_EPISODES: Final = 3
-TEMPO: Final = 0.2
-SPEED_M_S: Final = 0.4
-YAW_RAD_S: Final = 0.6
-OTHER_FOOTFALL: Final = 1.0
-"""Distances of one unit: of the logarithm of the period, speed, turning; and the distance for another footfall."""
-FARTHEST: Final = 6.0  # greatest distance of a useful excerpt
-_DIGITS: Final = 9  # of a distance, in which equally near excerpts agree
-_STARTS: Final = ("id", "piece", "robot", "robot_file", "best", "repeats", "parameters", "motion_file")
-
-
-@dataclass(frozen=True)
-class WarmStart:
-    """Start of a search: the motion in `file`, from the record `of`."""
-
-    of: str
-    file: Path
 
 
 @dataclass(frozen=True)
@@ -69,7 +50,6 @@ class Job:
     seed: int
     recipe: BuildSettings
     folder: Path
-    warm: WarmStart | None = None  # start of the search; None for the unmodulated motion
     began: str = "~"  # start of its build: a motion that failed since then is not tried again
 
     @cached_property
@@ -106,8 +86,7 @@ class Job:
         }
 
     def _content(self, recipe: str) -> bytes:
-        warm = None if self.warm is None else self.warm.of
-        return repr((self.piece.digest, self.robot_digest, self.seed, recipe, warm)).encode()
+        return repr((self.piece.digest, self.robot_digest, self.seed, recipe)).encode()
 
 
 def now() -> str:
@@ -159,8 +138,7 @@ def _made(job: Job, report: Report) -> Record:
     def progress(step: Progress) -> None:
         report(_SEARCH * step.iteration / step.iterations)
 
-    start = None if job.warm is None else job.warm.file
-    own = {"method": recipe.method, "seed": job.seed, "workers": 1, "progress": progress, "warm_start": start}
+    own = {"method": recipe.method, "seed": job.seed, "workers": 1, "progress": progress}
     try:
         result = searched(demonstration, robot, recipe, job.checkpoint, **own)
     except CheckpointError:  # damaged, or of another installation
@@ -173,7 +151,6 @@ def _made(job: Job, report: Report) -> Record:
     said: Record = {
         "status": DONE,
         **tried,
-        "warm_start": None if job.warm is None else job.warm.of,
         "parameters": named_values(result),
         "iterations": result.iterations,
         "evaluations": result.evaluations,
@@ -217,54 +194,3 @@ def _tried(job: Job, result: Imitation) -> Record:
         simulated_s += measured.seconds * _SECOND_SIMULATOR_EPISODES
         figures |= Metrics.of(rollout).named(("reward_mean", "fell"), "second_simulator")
     return figures | {"simulated_s": simulated_s}
-
-
-@dataclass(frozen=True, eq=False)
-class Neighbours:
-    """Where searches begin: a library's excerpts by digest, and for each robot (name or file) the best row of each.
-    Similar excerpts have about the same period, speed and turning, and the same footfall, on the same robot. The search
-    takes over the motion's modulation (`fastmimic.optimize.parameters.moved_by`), not its style."""
-
-    library: Path
-    pieces: Mapping[str, Excerpt]
-    best: Mapping[str, Sequence[Row]]
-
-    @classmethod
-    def of(cls, library: MotionDataset) -> "Neighbours":
-        """From a library's present index; raises `LibraryError` if that or a source's file is damaged."""
-        plan = library.plan()
-        if plan.unreadable:
-            raise LibraryError(f"{library.path}: {plan.unreadable[0]}")
-        pieces = {digest: there[-1] for digest, there in plan.pieces.items()}
-        best: dict[str, list[Row]] = {}
-        for row in library.index(_STARTS):
-            if row["best"] and row["repeats"] and row["parameters"] and row["piece"] in pieces:
-                best.setdefault(robot_of(row), []).append(row)
-        return cls(library.path.resolve(), pieces, best)
-
-    def nearest(self, piece: Excerpt, robot: str) -> WarmStart | None:
-        """The nearest start for an excerpt on a robot (name or MJCF), of equals the first by id; None if far."""
-        if not piece.repeats or robot not in self._places:
-            return None
-        rows, places, footfalls = self._places[robot]
-        other = (footfalls != "") & (footfalls != (piece.footfall or footfalls))
-        apart = np.linalg.norm(places - place_of(piece), axis=1) + OTHER_FOOTFALL * other
-        near = int(np.argmin(np.round(apart, _DIGITS)))
-        if apart[near] > FARTHEST:
-            return None
-        return WarmStart(rows[near]["id"], self.library / rows[near]["motion_file"])
-
-    @cached_property
-    def _places(self) -> dict[str, tuple[list[Row], Array, NDArray[np.str_]]]:
-        """The rows of each robot by id, with their coordinates and footfalls."""
-        found = {}
-        for robot, given in self.best.items():
-            rows = sorted(given, key=lambda row: str(row["id"]))
-            pieces = [self.pieces[row["piece"]] for row in rows]
-            found[robot] = rows, np.array([place_of(p) for p in pieces]), np.array([p.footfall or "" for p in pieces])
-        return found
-
-
-def place_of(piece: Excerpt) -> tuple[float, float, float]:
-    """Coordinates of an excerpt, between which the difference is a distance; another footfall adds to it."""
-    return math.log(piece.period_s) / TEMPO, piece.speed_m_per_s / SPEED_M_S, piece.yaw_rate_rad_per_s / YAW_RAD_S

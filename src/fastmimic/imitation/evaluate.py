@@ -100,6 +100,8 @@ def evaluate(
         motion = motion.target
     duration_s = duration_s if duration_s is not None else default_duration(motion, EVALUATION_S)
     conditions = conditions or Conditions()
+    if not isinstance(conditions, Conditions):
+        raise ConfigError(f"conditions are a Conditions(disturbances=…), found {conditions!r}")
     start = perturbed_start(episodes, start_room(motion, duration_s), np.random.default_rng(seed))
     rollout = run_episodes(
         robot,

@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ConfigError
 from fastmimic.base.machine import versions
 from fastmimic.base.progress import is_watched
 from fastmimic.base.text import plain
@@ -23,7 +22,7 @@ from fastmimic.episode.rollout import Rollout
 from fastmimic.imitation.methods import METHODS, check_controller, made_with
 from fastmimic.motion.motion import Motion
 from fastmimic.optimize.cma_es import CmaSettings, History, Progress, optimisation_progress, optimize
-from fastmimic.optimize.parameters import FinalChoice, Parameter, moved_by
+from fastmimic.optimize.parameters import FinalChoice, Parameter
 from fastmimic.optimize.problem import Objective
 from fastmimic.optimize.stitched import make_problem
 from fastmimic.robot import Robot, load_robot
@@ -153,7 +152,6 @@ def imitate(
     progress: Callable[[Progress], None] | None = None,
     n_basis: int | None = None,
     controller: MakeController | None = None,
-    warm_start: str | Path | Motion | None = None,
     choice: FinalChoice = FinalChoice(),
     **overrides: Any,
 ) -> Imitation:
@@ -172,7 +170,6 @@ def imitate(
         progress: called after each iteration; None shows it in a terminal or notebook.
         n_basis: basis functions of each DMP; None for 100, and of a long cycle one each 20 ms.
         controller: of a trained policy, as in `evaluate`; for the method rl, which optimises nothing.
-        warm_start: an optimised motion, or its file, with the modulation that the search begins from.
         choice: how the search chooses its result.
 
     Raises `FastMimicError`: an argument is wrong; the message says which.
@@ -183,11 +180,6 @@ def imitate(
     config = chosen.configure(config)
     controller = controller or chosen.controller
     settings = CmaSettings(iterations, population, seed, choice=choice)
-    moved = None
-    if warm_start is not None:
-        if not chosen.optimises:
-            raise ConfigError(f"a warm start is of a search, and method '{method}' has none; leave it out")
-        moved = moved_by(warm_start if isinstance(warm_start, Motion) else Motion.load(warm_start))
     began = time.perf_counter()
     given = load_motion(source, robot, **overrides)
     demonstration = given.target
@@ -210,7 +202,7 @@ def imitate(
     if not chosen.optimises:
         return unoptimised
     search = {"objective": objective, "config": config, "workers": workers}
-    problem = make_problem(robot, given, group=chosen.parameters, n_basis=n_basis, moved=moved, **search)
+    problem = make_problem(robot, given, group=chosen.parameters, n_basis=n_basis, **search)
     prepared = time.perf_counter() - began
     shown = optimisation_progress() if progress is None and is_watched() else nullcontext(progress)
     with shown as tell:

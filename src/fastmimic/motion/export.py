@@ -96,7 +96,7 @@ def sample(motion: Motion, fps: float, duration_s: float | None = None, *, loopi
     """A motion at evenly spaced times; `fps` and `duration_s` as in `export_motion`. With `looping`, one cycle followed
     by its first frame moved by the cycle. Raises `ConfigError` for a bad rate or duration."""
     if not (math.isfinite(fps) and 0 < fps <= motion.rate_hz):
-        raise ConfigError(f"fps must be above 0 and at most the motion's {motion.rate_hz:g}, found {fps:g}")
+        raise ConfigError(f"frames a second must be above 0 and at most the motion's {motion.rate_hz:g}, found {fps:g}")
     if duration_s is not None:
         check_positive(duration_s, "the duration", shown=f"{duration_s:g}")
     whole = motion.period_s - motion.dt

@@ -9,7 +9,7 @@ import numpy as np
 
 from fastmimic.base.arrays import Array, Flags, Indices
 from fastmimic.base.conventions import LARGEST, RATE_RANGE_HZ
-from fastmimic.base.errors import ConfigError, FastMimicError, MotionError
+from fastmimic.base.errors import ConfigError, FastMimicError, MotionError, OutputError
 from fastmimic.base.files import from_json, read_arrays, replace_file
 from fastmimic.base.rotations import quat_rotate
 from fastmimic.motion.provenance import Provenance
@@ -167,6 +167,8 @@ class Motion:
 
     def save(self, path: str | Path | BinaryIO) -> None:
         """Writes an `.npz` without pickles to a stream or a file, replaced only when complete; raises `OutputError`."""
+        if isinstance(path, str | Path) and Path(path).suffix != ".npz":
+            raise OutputError(f"{path}: a motion is written to an .npz")
         arrays: dict[str, Any] = _to_arrays(self)
         if self.demonstration is not None:
             arrays |= {_DEMONSTRATION + k: v for k, v in _to_arrays(self.demonstration).items()}

@@ -1,13 +1,12 @@
 """Which parameters of a motion's DMPs can be optimised, in groups: the paper's eight (§III-C), and more; and how a
 search chooses its result among its best candidates."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from fastmimic.base.conventions import LEGS
 from fastmimic.base.errors import ConfigError, MotionError, unknown
-from fastmimic.motion.motion import Motion
 
 if TYPE_CHECKING:  # loads the compiler
     from fastmimic.primitive import MotionDmp
@@ -86,31 +85,6 @@ def needed_group(group: str, *started: Iterable[str]) -> str:
 def _check_group(group: str) -> None:
     if group not in PARAMETER_GROUPS:
         raise unknown("parameters", group, PARAMETER_GROUPS)
-
-
-def moved_by(motion: Motion) -> dict[str, float]:
-    """An optimised cycle's modulation: baselines relative to the fitted ones, and amplitudes; raises `MotionError`."""
-    dmp = motion.provenance.dmp
-    if motion.demonstration is None or dmp is None:
-        said = f"motion '{motion.name}' was not optimised as one cycle"
-        raise MotionError(f"{said}: there is nothing in it to begin from")
-    found: dict[str, float] = {}
-    for name, goal, fitted, amplitude in dmp.modulation():
-        found[f"{name}.{_GOAL}"] = goal - fitted
-        found[f"{name}.{_AMPLITUDE}"] = amplitude
-    return found
-
-
-def begun_at(parameters: Sequence[Parameter], moved: Mapping[str, float]) -> list[float]:
-    """Values, within their bounds, that modulate like another motion (`moved`, see `moved_by`), or the initial ones."""
-    found = []
-    for parameter in parameters:
-        value = parameter.initial
-        if parameter.name in moved:
-            relative = parameter.name.endswith(f".{_GOAL}")
-            value = moved[parameter.name] + (parameter.initial if relative else 0.0)
-        found.append(min(max(value, parameter.lower), parameter.upper))
-    return found
 
 
 @dataclass(frozen=True)

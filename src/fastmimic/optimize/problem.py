@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -29,7 +29,7 @@ from fastmimic.episode.reward import N_TERMS, REWARD_TERMS
 from fastmimic.episode.rollout import Rollout
 from fastmimic.executors import check_workers
 from fastmimic.motion.motion import Motion
-from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, begun_at, parameters_of_group
+from fastmimic.optimize.parameters import FOOT_HEIGHT, Parameter, parameters_of_group
 from fastmimic.primitive import MotionDmp
 from fastmimic.primitive.motion_dmp import FEET, rate_of
 from fastmimic.reference.table import put_root, reference_table
@@ -169,16 +169,14 @@ class ImitationProblem(Problem):
         objective: Objective = Objective(),
         config: ControllerConfig = ControllerConfig(),
         workers: int | None = None,
-        moved: Mapping[str, float] | None = None,
     ) -> None:
-        """`dmp` is fitted to the demonstration, `group` one of `PARAMETER_GROUPS`, `moved` the modulation at the start
-        of the search (see `moved_by`). Raises `ConfigError` for fewer than one worker, or no such group."""
+        """`dmp` is fitted to the demonstration, `group` one of `PARAMETER_GROUPS`. Raises `ConfigError` for fewer than
+        one worker, or no such group."""
         self._repeats = demonstration.cycle is not None
         if not self._repeats:
             objective = replace(objective, duration_s=(demonstration.n_samples - 1) / demonstration.rate_hz)
         parameters = parameters_of_group(group, dmp)
         super().__init__(robot, demonstration, parameters, objective=objective, config=config, workers=workers)
-        self.start = np.array(begun_at(parameters, moved or {}))
         self.dmp = dmp
         seconds = self.objective.duration_s
         if self._repeats:

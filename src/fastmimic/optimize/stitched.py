@@ -153,22 +153,19 @@ def make_problem(
     *,
     group: str = FOOT_HEIGHT,
     n_basis: int | None = None,
-    moved: Mapping[str, float] | None = None,
     **settings: Any,
 ) -> Problem:
     """The problem for a motion: its cycle, the whole of a motion that does not repeat, or all segments of a stitched
-    one; `settings` are `objective`, `config` and `workers`. Raises `ConfigError` for no such group, or `moved` with a
-    stitched motion, and `MotionError` if DMPs cannot be fitted."""
+    one; `settings` are `objective`, `config` and `workers`. Raises `ConfigError` for no such group, and `MotionError`
+    if DMPs cannot be fitted."""
     demonstration = motion.target
     if demonstration.cycle is None and demonstration.parts:
-        if moved is not None:
-            raise ConfigError(f"'{motion.name}' is a stitched motion, whose search begins at its own parts' optima")
         own = motion.provenance.stitched.parameters or {}
         names = {name.rpartition("/")[2]: value for name, value in own.items()}
         group = needed_group(group, names)
         return StitchedProblem(robot, demonstration, start=own or None, group=group, n_basis=n_basis, **settings)
     dmp = MotionDmp.fit(demonstration, robot, n_basis)
-    return ImitationProblem(robot, demonstration, dmp, group=group, moved=moved, **settings)
+    return ImitationProblem(robot, demonstration, dmp, group=group, **settings)
 
 
 def parameters_of(motion: Motion) -> dict[str, float]:

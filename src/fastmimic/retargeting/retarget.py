@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from fastmimic.base.arrays import Array
-from fastmimic.base.errors import ClipError, check_positive
+from fastmimic.base.errors import ClipError, ConfigError, check_positive
 from fastmimic.base.text import plain
 from fastmimic.clips.catalogue import open_clip
 from fastmimic.clips.clip import Clip
@@ -38,11 +38,12 @@ _DOG_TRUNK_M: Final = 0.4
 _OWN_SIZE: Final = 1.15  # of an animal that is not as large as the dog
 _REACH: Final = 0.83  # of a leg in motion, share of its length: the dog's and the horse's
 MIN_FRAMES: Final = 8
+_SCALES: Final = (0.01, 100.0)  # of a robot to an animal that anybody has; beyond them a unit is wrong
 
 
 def retarget(
     clip: Clip | str | Path,
-    robot: Robot | str,
+    robot: Robot | str = "a1",
     *,
     rate_hz: float = 500.0,
     scale: float | None = None,
@@ -113,6 +114,8 @@ def _leg_length(clip: Clip) -> float:
     reach = np.percentile(np.linalg.norm(clip.toes_w - clip.hips_w, axis=-1), 95, axis=0)
     own = reach.max() / _REACH
     trunk = np.median(np.linalg.norm(clip.point("neck") - clip.point("pelvis"), axis=1))
+    if own == 0.0:
+        raise ClipError(f"{clip.origin}: every paw is at its hip; there is no leg to scale by")
     large, small = own > _OWN_SIZE * DOG_LEG_LENGTH_M, own < DOG_LEG_LENGTH_M / _OWN_SIZE
     return float(own) if large or (small and trunk < _DOG_TRUNK_M / _OWN_SIZE) else DOG_LEG_LENGTH_M
 
@@ -121,6 +124,10 @@ def _check(clip: Clip, rate_hz: float, scale: float | None) -> None:
     check_positive(rate_hz, "the rate of a motion", shown=f"{rate_hz} Hz")
     if scale is not None:
         check_positive(scale, "the scale")
+        if not _SCALES[0] <= scale <= _SCALES[1]:
+            raise ConfigError(
+                f"the scale, robot's by animal's size, is {_SCALES[0]:g} to {_SCALES[1]:g}, found {scale:g}"
+            )
     if min(clip.n_frames, round((clip.n_frames - 1) / clip.rate_hz * rate_hz)) < MIN_FRAMES:
         found = f"{clip.n_frames} at {clip.rate_hz:g} Hz"
         raise ClipError(f"{clip.origin}: retargeting needs at least {MIN_FRAMES} frames, found {found}; cut longer")

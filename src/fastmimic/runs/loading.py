@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fastmimic.base.errors import ConfigError, MotionError
+from fastmimic.base.errors import ConfigError, MotionError, check_path
 from fastmimic.base.files import read_json
 from fastmimic.clips.catalogue import motion_names, open_clip
 from fastmimic.clips.clip import Clip
@@ -106,6 +106,7 @@ def find_motion(source: str | Path | Clip | Motion) -> MotionSource:
         return MotionSource(source.name, motion=source)
     if isinstance(source, Clip):
         return MotionSource(source.origin.name or "clip", clip=source)
+    check_path(source, "a motion's source is its name, a file, the folder of a run, a Clip or a Motion", MotionError)
     name = str(source)
     if not name.strip():
         raise MotionError("a motion without a name; give the name of a motion, a file, or the folder of a run")

@@ -57,6 +57,8 @@ class CommandScript:
         if not found:
             raise ConfigError(f"{path} has no velocities: no line of numbers")
         self._rows = rows = np.array(found)
+        if rows[0, 0] < 0.0:
+            raise ConfigError(f"{path}, line {1 + named}: its time is negative; times are from the start")
         if (early := np.flatnonzero(np.diff(rows[:, 0]) <= 0)).size:
             raise ConfigError(f"{path}, line {early[0] + 2 + named}: its time is not later than the one before")
         self.end_s: float | None = float(rows[-1, 0])

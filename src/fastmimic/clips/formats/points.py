@@ -173,7 +173,11 @@ def check_right_handed(points: Array) -> None:
 def _widths(points: Array) -> Array:
     """How far left each pair's left point lies of its right one on average, (4,) m: `POINT_NAMES`' order, z up."""
     left = np.cross([0.0, 0.0, 1.0], points[:, 1] - points[:, 0])
-    left /= np.linalg.norm(left, axis=1, keepdims=True)
+    length = np.linalg.norm(left, axis=1, keepdims=True)
+    if not length.all():
+        frame = int(np.argmin(length))
+        raise ClipError(f"neck and pelvis are above one another in frame {frame}: the animal has no heading there")
+    left /= length
     return np.asarray(np.einsum("ta,tpa->p", left, points[:, 3::2] - points[:, 2::2]) / len(points))
 
 
