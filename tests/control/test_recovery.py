@@ -67,7 +67,7 @@ def test_a_pace_is_taken_up_again(robot: Robot) -> None:
     loop = ClosedLoop(robot, motion, ROBOTS, conditions=Conditions(disturbances=(push,)))
     loop.place(starts(motion))
     recovered = np.zeros(ROBOTS, bool)
-    for _ in range(1500):
+    for _ in range(2000):
         loop.apply(loop.control())
         recovered |= loop.controller.memory["recovering"] > 0
         loop.score()

@@ -10,6 +10,7 @@ from fastmimic.control.controller import gains_of
 from fastmimic.control.joint_commands import keep_in_reach
 from fastmimic.episode.loop import ClosedLoop
 from fastmimic.episode.plan import Start, nominal_start
+from fastmimic.reference.standing import standing
 from fastmimic.reference.table import GAIN_SAMPLES
 from fastmimic.robot import Robot
 from fastmimic.robot.kinematics import foot_positions, leg_inverse
@@ -55,6 +56,21 @@ def test_steps_in_time_catch_robots_that_fall_otherwise(robot: Robot) -> None:
     assert most == ControllerConfig().gait.most_haste
     assert none == 0.0
     assert up.sum() >= fallen.sum() + 4
+
+
+def test_the_trunk_follows_standing_feet_that_made_haste(robot: Robot) -> None:
+    """It stayed beside them for as long as they stood, and fell into the next step of one side."""
+    motion = standing(robot)
+    loop = ClosedLoop(robot, motion, 1, ControllerConfig())
+    loop.place(nominal_start(1))
+    loop.controller.memory["lag"][:] = (0.0, 0.02)
+    found = []
+    for _ in range(750):
+        loop.apply(loop.control())
+        loop.score()
+        found.append(float(loop.simulation.observation["root_pos"][0, 1]))
+    assert max(map(abs, found)) > 0.008
+    assert abs(found[-1]) < 0.002
 
 
 def test_a_robot_that_stands_is_not_hurried_to_a_step_far_ahead(robot: Robot) -> None:

@@ -18,6 +18,7 @@ from fastmimic.robot.kinematics import leg_forward
 MOST_DISTURBANCE: Final = (3.0, 10.0)  # m/s², rad/s²
 LEAN: Final = (0.3, 0.7)  # shares of that distance along and across which trot and walk need
 FAR_S: Final = 0.5  # a step that is farther ahead catches nobody: the feet that stand have to hold the robot
+LAG_S: Final = 0.3  # time constant with which the trunk follows standing feet of a reference that made haste
 LATE: Final = 0.9  # a foot that should have landed keeps this share of its shift's speed each step
 
 
@@ -176,6 +177,7 @@ def regulate(config: Any, ref: Any, gain: Any, memory: Any, scratch: Any) -> Non
         for a in range(2):
             if memory.stance[leg] == 1:
                 memory.lag[leg, a] += config.dt * max(memory.haste, 0.0) * scratch.ref_lin_vel[a]
+                memory.lag[leg, a] *= 1.0 - config.dt / LAG_S
                 shift[leg, a], rate[leg, a] = -memory.lag[leg, a] - scratch.lean[a], 0.0
                 for k in range(3):
                     shift[leg, a] += rotation[a, k] * scratch.feet[leg, k]

@@ -50,10 +50,10 @@ MEMORY: Final = record_dtype(
 the last horizon plan, s, 0 without one. A foot has been without load for `unloaded_time`, and for `missed_time` though
 it was asked to bear some. `foot_shift` is where a foot is, or is to be, from the reference's, both from
 their trunks, heading frame, m, and its rate in the world, m/s. `haste` are the samples that the reference advances
-beyond one in a control step (or `taken_up_at`), and `lag` is how far a standing foot of the reference has got ahead by
-it, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's `velocity` (in the
-ground's frame) and `expected` acceleration (heading frame) of the last step, linear and angular, tell the
-`disturbance`. The `foothold` of each foot (world, m) gives the ground's `slope`, its height where the robot is
+beyond one in a control step (or `taken_up_at`), and `lag` is by how far a standing foot of the reference that got ahead
+by it does not count yet, m. `urgency`, `recovering` and what follows it are those of `control.recovery`. The trunk's
+`velocity` (in the ground's frame) and `expected` acceleration (heading frame) of the last step, linear and angular,
+tell the `disturbance`. The `foothold` of each foot (world, m) gives the ground's `slope`, its height where the robot is
 (`ground`) and its `roughness`, m; `raised` is how far swinging feet are that caught on it, m. `friction` is the
 coefficient assumed at present, 0 before the first step, and `slid` how far each foot has slid without a pause, m."""
 
