@@ -7,17 +7,38 @@ import numpy as np
 import pytest
 
 from fastmimic.base.conventions import GRAVITY
+from fastmimic.base.rotations import quat_conjugate, quat_multiply, quat_rotate
 from fastmimic.robot import ROBOT_NAMES, Robot, load_robot
 from fastmimic.robot.dynamics import leg_torques
+from fastmimic.robot.mjcf import robot_from_spec
 from robot.mjcf import Simulated, a1_tree, find, random_joints, random_quat, write
 
 UPWARDS = np.array([0.0, 0.0, GRAVITY])
 EXACT = 1e-9  # N·m, on torques of up to some hundred
 
 
-@pytest.fixture(scope="module", params=ROBOT_NAMES)
+@pytest.fixture(scope="module", params=[*ROBOT_NAMES, "links in axes of their own"])
 def robot(request: pytest.FixtureRequest) -> Robot:
-    return load_robot(request.param)
+    if request.param in ROBOT_NAMES:
+        return load_robot(request.param)
+    return robot_from_spec(with_turned_links(load_robot("a1"), np.random.default_rng(7)), "turned")
+
+
+def with_turned_links(robot: Robot, generator: np.random.Generator) -> mujoco.MjSpec:
+    """The same robot, the frames of whose hips, thighs and calves are turned anyhow, as some makers have them."""
+    spec = mujoco.MjSpec.from_string(robot.xml)
+    for body in spec.bodies:
+        if not body.joints or body.joints[0].type == mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        turn = random_quat(generator)
+        back = quat_conjugate(turn)
+        body.quat = quat_multiply(np.array(body.quat), turn)
+        body.ipos, body.iquat = quat_rotate(back, body.ipos), quat_multiply(back, np.array(body.iquat))
+        for joint in body.joints:
+            joint.axis = quat_rotate(back, joint.axis)
+        for part in (*body.geoms, *body.bodies):
+            part.pos, part.quat = quat_rotate(back, part.pos), quat_multiply(back, np.array(part.quat))
+    return spec
 
 
 def moving(robot: Robot, generator: np.random.Generator) -> tuple[Simulated, np.ndarray, np.ndarray]:

@@ -82,7 +82,7 @@ def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
     mujoco.mj_forward(model, data)
     joints = [j for leg in legs for j in leg.joints]
     bodies = np.array([[model.jnt_bodyid[j] for j in leg.joints] for leg in legs])
-    links = [[_composite(model, int(b)) for b in row] for row in bodies]
+    links = [[_link(model, at_zero, trunk, int(b)) for b in row] for row in bodies]
     trunk_link = _composite(model, trunk)
     com_b, inertia_b = _whole_body(model, data, trunk)
     speed, speed_assumed = _speed_limit(model, joints)
@@ -289,6 +289,13 @@ def _composite(model: mujoco.MjModel, body: int) -> tuple[float, Array, Array]:
 
     collect(body, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
     return combined(parts)
+
+
+def _link(model: mujoco.MjModel, at_zero: mujoco.MjData, trunk: int, body: int) -> tuple[float, Array, Array]:
+    """The same of a leg's link from its joint on, in the axes that the trunk has when all joints are at zero."""
+    mass, com, inertia = _composite(model, body)
+    turn = at_zero.xmat[trunk].reshape(3, 3).T @ at_zero.xmat[body].reshape(3, 3)
+    return mass, turn @ (com - model.jnt_pos[model.body_jntadr[body]]), turn @ inertia @ turn.T
 
 
 def _whole_body(model: mujoco.MjModel, data: mujoco.MjData, trunk: int) -> tuple[Array, Array]:
