@@ -410,7 +410,7 @@ class TestUsersOwnRobots:
     def test_a_shell_below_a_foot_collides_with_nothing_on_any_ground(self, robot: Robot, tmp_path: Path) -> None:
         tree = a1_tree()
         calf = find(tree, "body", "RL_calf")
-        for name, end in (("boot", "-0.21"), ("shin", "-0.15")):
+        for name, end in (("boot", "-0.21"), ("sole", "-0.195"), ("shin", "-0.15")):
             shape = {"type": "capsule", "size": "0.015", "fromto": f"0 0 -0.1 0 0 {end}"}
             ElementTree.SubElement(calf, "geom", {"name": name, **shape})
         booted = load_robot(write(tree, tmp_path / "boot.xml"))

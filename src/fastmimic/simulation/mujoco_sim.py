@@ -25,7 +25,8 @@ from fastmimic.simulation.terrain import Terrain
 
 FLOOR: Final = "fastmimic_floor"
 WORLD: Final = "world"  # the body that the floor belongs to
-FOOT_FIRST: Final = 0.3  # foot radii by which the rest of its link has to be higher than a standing foot
+FOOT_FIRST: Final = 0.3  # foot radii by which the rest of its link has to be higher than a standing foot,
+SINKS_M: Final = 0.012  # and at least as far as a foot sinks in when it lands
 STANDING_LEANS_DEG: Final = (-60.0, -30.0, 0.0, 30.0, 60.0)  # of the calf from the vertical, in stance
 SLIDING: Final = 3  # MuJoCo's condim: a normal force and friction against slipping
 
@@ -106,7 +107,7 @@ def _before_feet(model: mujoco.MjModel, robot: Robot) -> list[int]:
             mujoco.mj_kinematics(model, data)
             data.qpos[free + 2] -= data.geom_xpos[foot, 2] - robot.foot_radius
             mujoco.mj_kinematics(model, data)
-            near = FOOT_FIRST * robot.foot_radius
+            near = max(FOOT_FIRST * robot.foot_radius, SINKS_M)
             found |= {g for g in others if mujoco.mj_geomDistance(model, data, floor, g, 1.0, points) < near}
     return sorted(found)
 
