@@ -68,7 +68,7 @@ def main() -> None:
     parser.add_argument("--motions", nargs="*", default=MOTIONS)
     parser.add_argument("--speeds", nargs="*", type=float, default=(0.25, 0.5, 0.75, 1.0))
     parser.add_argument("--variants", nargs="*", default=VARIANTS)
-    parser.add_argument("--minute", type=int, default=8, help="episodes of a minute; 0 for none")
+    parser.add_argument("--minute", type=int, default=32, help="episodes of a minute; 0 for none")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--write", action="store_true", help="put the table into docs/robustness.md")
     args = parser.parse_args()

@@ -1,5 +1,7 @@
 """The expressions of one instant, and their derivatives."""
 
+from pathlib import Path
+
 import casadi as ca
 import mujoco
 import numpy as np
@@ -12,6 +14,7 @@ from fastmimic.robot.kinematics import foot_positions
 from fastmimic.trajectory.config import TrajectoryConfig
 from fastmimic.trajectory.node import GIVEN, N_GIVEN, N_ROWS, N_VARIABLES, VARIABLES, casadi_functions
 from fastmimic.trajectory.symbolic import NEIGHBOURS, instant
+from robot.test_urdf import urdf
 
 
 def _quaternion(angles: np.ndarray) -> np.ndarray:
@@ -29,8 +32,12 @@ def _body_rate(angles: np.ndarray, rates: np.ndarray) -> np.ndarray:
     return 2 * quat_multiply(conjugate, (ahead - behind) / (2 * h))[1:]
 
 
-@pytest.mark.parametrize("name", ["a1", "go2"])
-def test_inverse_dynamics_are_mujocos(name: str) -> None:
+@pytest.mark.parametrize("name", ["a1", "go2", "a1.urdf"])
+def test_inverse_dynamics_are_mujocos(name: str, tmp_path: Path) -> None:
+    """A URDF's floating link has no mass of its own, and its trunk is fixed to it."""
+    if name.endswith(".urdf"):
+        (tmp_path / name).write_text(urdf())
+        name = str(tmp_path / name)
     robot = load_robot(name)
     rng = np.random.default_rng(0)
     q, v, a = (ca.SX.sym(x, 18) for x in "qva")

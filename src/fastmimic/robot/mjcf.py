@@ -83,7 +83,7 @@ def robot_from_spec(spec: mujoco.MjSpec, default_name: str) -> Robot:
     joints = [j for leg in legs for j in leg.joints]
     bodies = np.array([[model.jnt_bodyid[j] for j in leg.joints] for leg in legs])
     links = [[_link(model, at_zero, trunk, int(b)) for b in row] for row in bodies]
-    trunk_link = _composite(model, trunk)
+    trunk_link = composite(model, trunk)
     com_b, inertia_b = _whole_body(model, data, trunk)
     speed, speed_assumed = _speed_limit(model, joints)
     lower, upper, range_assumed = _ranges(model, joints)
@@ -274,7 +274,7 @@ def _home(model: mujoco.MjModel) -> Array:
     return home
 
 
-def _composite(model: mujoco.MjModel, body: int) -> tuple[float, Array, Array]:
+def composite(model: mujoco.MjModel, body: int) -> tuple[float, Array, Array]:
     """Mass, centre of mass and central inertia of a body and all that is fixed to it, in the body's frame."""
     parts: list[tuple[float, Array, Array]] = []
 
@@ -293,7 +293,7 @@ def _composite(model: mujoco.MjModel, body: int) -> tuple[float, Array, Array]:
 
 def _link(model: mujoco.MjModel, at_zero: mujoco.MjData, trunk: int, body: int) -> tuple[float, Array, Array]:
     """The same of a leg's link from its joint on, in the axes that the trunk has when all joints are at zero."""
-    mass, com, inertia = _composite(model, body)
+    mass, com, inertia = composite(model, body)
     turn = at_zero.xmat[trunk].reshape(3, 3).T @ at_zero.xmat[body].reshape(3, 3)
     return mass, turn @ (com - model.jnt_pos[model.body_jntadr[body]]), turn @ inertia @ turn.T
 

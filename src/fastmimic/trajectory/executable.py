@@ -214,7 +214,8 @@ def _within_limits(problem: Program, margins: dict[str, float], start: Guess | N
                 break
     raise MotionError(
         f"no motion of {program.robot.name} near '{program.motion.name}' keeps the limits: {_worst(program, solution)}"
-        f" ({solution.status} after {solution.iterations} iterations)"
+        f" ({'diverges' if solution.diverged else solution.status.replace('_', ' ').lower()}"
+        f" after {solution.iterations} iterations)"
     )
 
 
