@@ -125,6 +125,17 @@ def test_meshes_are_found_beside_the_package_or_left_out_with_a_word(folder: Pat
     assert any("neither STL nor OBJ" in sentence for sentence in load_robot(folder).assumed)
 
 
+def test_a_link_without_a_shape_is_drawn_and_collides_with_nothing(folder: Path) -> None:
+    box = '<collision><geometry><box size="0.26 0.19 0.11"/></geometry></collision><collision><geometry><mesh'
+    (folder / "urdf" / "dog.urdf").write_text(urdf().replace(box, "<collision><geometry><mesh"))
+    robot = load_robot(folder)
+    model = robot.model()
+    (drawn,) = np.flatnonzero(model.geom_bodyid == model.body("trunk").id)
+    assert not model.geom_contype[drawn]
+    assert not model.geom_conaffinity[drawn]
+    np.testing.assert_allclose(model.geom_size[drawn, :2], np.abs(robot.hip_pos_b[:, :2]).max(axis=0), atol=1e-6)
+
+
 def test_a_foot_without_a_sphere_gets_one(folder: Path) -> None:
     (folder / "urdf" / "dog.urdf").write_text(urdf(sphere=False))
     robot = load_robot(folder)

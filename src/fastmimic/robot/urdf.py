@@ -25,6 +25,7 @@ _NO_MASS_KG: Final = 1e-4
 _STANDS: Final = 0.65  # height of the hips above the feet in `home`, share of the leg's length
 _ROTORS: Final = 0.36  # reflected inertia of the rotors, share of the legs' mean inertia at the joints, of an A1
 _FOOT: Final = 0.1  # radius of an assumed foot, share of the calf's length
+_STICK: Final = 0.07  # radius of a link that is drawn as a stick, share of its length
 
 
 def urdf_in(folder: Path) -> Path:
@@ -43,7 +44,9 @@ def robot_from_urdf(path: Path) -> Robot:
     try:
         tree = ElementTree.fromstring(path.read_bytes())
         _check_joints(tree)
-        notes = _prepare(tree, path)
+        left_out = _prepare(tree, path)
+        where = f"nothing collides at {', '.join(left_out)}"
+        notes = [f"meshes left out, not found or neither STL nor OBJ: {where}"] if left_out else []
         spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
         spec.modelfiledir = str(path.parent)
         if all(joint.type != mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
@@ -51,6 +54,7 @@ def robot_from_urdf(path: Path) -> Robot:
         for geom in spec.geoms:
             geom.density = 0.0  # a link without inertia has none, whatever its shape
         notes += _add_feet(spec)
+        _draw(spec, left_out)
         limits = {joint.get("name"): limit for joint in tree.iter("joint") for limit in joint.iter("limit")}
         speeds, efforts = (
             {str(name): float(limit.get(what, 0)) for name, limit in limits.items()} for what in ("velocity", "effort")
@@ -78,7 +82,8 @@ def _check_joints(tree: ElementTree.Element) -> None:
 
 
 def _prepare(tree: ElementTree.Element, path: Path) -> list[str]:
-    """Leaves out what is only looked at and meshes that cannot be read; finds the others, relative to the file."""
+    """Leaves out what is only looked at, and meshes that cannot be read, of the links that it returns; finds the
+    others, relative to the file."""
     left_out = []
     for link in tree.iter("link"):
         inertial, mass = link.find("inertial"), link.find("inertial/mass")
@@ -95,9 +100,8 @@ def _prepare(tree: ElementTree.Element, path: Path) -> list[str]:
     for element in tree.findall("mujoco"):
         tree.remove(element)
     compiler = ElementTree.SubElement(ElementTree.SubElement(tree, "mujoco"), "compiler")
-    compiler.attrib |= {"fusestatic": "false", "strippath": "false", "balanceinertia": "true"}
-    where = ", ".join(left_out)
-    return [f"meshes left out, not found or neither STL nor OBJ: nothing collides at {where}"] if left_out else []
+    compiler.attrib |= {"fusestatic": "false", "strippath": "false", "balanceinertia": "true", "discardvisual": "false"}
+    return left_out
 
 
 def _mesh_file(name: str, folder: Path) -> Path | None:
@@ -127,6 +131,26 @@ def _add_feet(spec: mujoco.MjSpec) -> list[str]:
         foot.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_FOOT * away.max(), 0, 0], density=0.0)
         added.append(f"{foot.name} {1e3 * _FOOT * away.max():.0f} mm")
     return [f"no spheres as feet: assumed at {', '.join(added)}"] if added else []
+
+
+def _draw(spec: mujoco.MjSpec, links: list[str]) -> None:
+    """Draws those links that have no shape left as sticks, and the trunk as a box; nothing collides with them."""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    spheres = model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE
+    for link in map(model.body, links):
+        group = int(model.body_weldid[link.id])
+        ends = [data.xpos[body] for body in bodies_below(model, group)]
+        ends = ends or list(data.geom_xpos[spheres & (model.body_weldid[model.geom_bodyid] == group)])
+        along = (np.reshape(ends, (-1, 3)) - data.xpos[link.id]) @ data.xmat[link.id].reshape(3, 3)
+        far = float(np.abs(along).max(initial=0.0))
+        shape = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [*np.abs(along[:, :2]).max(axis=0, initial=0), _FOOT * far]}
+        if len(ends) == 1:
+            stick = {"fromto": [0.0, 0.0, 0.0, *along[0]], "size": [_STICK * far, 0.0, 0.0]}
+            shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, **stick}
+        if far > 0.0 and not (model.geom_bodyid == link.id).any():
+            spec.body(link.name).add_geom(**shape, contype=0, conaffinity=0, density=0.0)
 
 
 def _standing(spec: mujoco.MjSpec, name: str, notes: list[str]) -> Robot:
