@@ -9,11 +9,12 @@ from fastmimic.base.arrays import Array
 from fastmimic.base.jit import inlined
 from fastmimic.base.vectors import solve_damped, transposed_times, turned, turned_back
 from fastmimic.control.footing import feel_for_ground, lift_over
-from fastmimic.robot.dynamics import DRY_FRICTION_FROM, cross, leg_inverse_dynamics
+from fastmimic.robot.dynamics import cross, leg_inverse_dynamics
 from fastmimic.robot.kinematics import contact_jacobian, leg_inverse, leg_jacobian
 
 DAMPING_AFTER_FAILURE: Final = 5.0  # N·m·s/rad where nothing better can be computed
 RAIBERT, REGULATED = 1, 2  # kinds of footholds, in the order of `SwingConfig.foothold`'s choices
+DRY_FRICTION_FROM: Final = 0.5  # rad/s; below it friction is compensated in part, so that torques do not jump
 
 
 @inlined

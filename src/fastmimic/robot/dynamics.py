@@ -1,7 +1,7 @@
 """Rigid-body dynamics: one leg on a moving trunk in closed form, and the whole robot through MuJoCo. The closed form is
 recursive Newton-Euler (Featherstone 2008, ch. 5) for three hinges (x, y, y), with every vector in the body frame."""
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +10,6 @@ from fastmimic.base.jit import inlined, kernel
 from fastmimic.base.vectors import turned
 from fastmimic.robot.robot import Robot
 from fastmimic.robot.state import pack_model
-
-DRY_FRICTION_FROM: Final = 0.5  # rad/s; below it dry friction counts in part, so that torques do not jump
 
 
 @inlined

@@ -13,7 +13,6 @@ import numpy as np
 from fastmimic.base.arrays import Array
 from fastmimic.base.conventions import GRAVITY
 from fastmimic.robot import Robot
-from fastmimic.robot.dynamics import DRY_FRICTION_FROM
 from fastmimic.robot.mjcf import composite
 
 Expression = Any  # a CasADi SX matrix; CasADi has no types
@@ -92,7 +91,7 @@ def instant(robot: Robot, q: Expression, v: Expression, a: Expression, force: Ex
             carried_force, carried_moment = carried_force + forces[link], carried_moment + moments[link]
             about_joint = carried_moment - ca.cross(origins[link], carried_force)
             rotor = float(robot.armature[3 * leg + link]) * a[joint][link]
-            own.append(ca.dot(axes[link], about_joint) + rotor + _joint_loss(robot, 3 * leg + link, v[joint][link]))
+            own.append(ca.dot(axes[link], about_joint) + rotor)
         torques += own[::-1]
         total, moment = total + carried_force, moment + carried_moment
         feet.append(q[:3] + turn @ origins[3])
@@ -101,16 +100,6 @@ def instant(robot: Robot, q: Expression, v: Expression, a: Expression, force: Ex
         level.append(rotation(1, q[4]) @ rotation(0, q[3]) @ origins[3])
     apart = [_least_distance(lines[a], lines[b]) for a, b in NEIGHBOURS]
     return Instant(ca.vertcat(total, moment), *(ca.vertcat(*x) for x in (torques, feet, knees, level, apart)))
-
-
-def _joint_loss(robot: Robot, joint: int, rate: Expression) -> Expression:
-    """Torque that a joint loses to its own damping and dry friction, N·m."""
-    import casadi as ca
-
-    damping, friction = float(robot.joint_damping[joint]), float(robot.joint_friction[joint])
-    if not damping and not friction:
-        return 0
-    return damping * rate + friction * rate / ca.sqrt(rate * rate + DRY_FRICTION_FROM**2)  # nearly the sign
 
 
 def _least_distance(points: list[Expression], others: list[Expression]) -> Expression:
