@@ -1,7 +1,7 @@
 """Pushes of the trunk, in eight directions from eight phases: who stays up, and who is back in the motion.
 
     python benchmarks/pushes.py [--robot a1] [--motions dog:trot …] [--speeds 0.25 0.5 0.75 1.0]
-                                [--variants no-step-timing …] [--minute 8] [--json] [--write]
+                                [--variants no-step-timing …] [--minute 32] [--json] [--write]
 
 A push lasts 0.1 s and changes the trunk's speed by 0.25 to 1 m/s, if its feet do not hold against it; it comes 1 s
 after the start. A robot survives if it has not fallen 4 s later, and has rejoined its motion if 1.5 s after the push

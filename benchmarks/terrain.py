@@ -1,6 +1,6 @@
 """Blind on stairs, slopes and rough ground: who stays up, how far they come, and what remains of the motion.
 
-    python benchmarks/terrain.py [--robot a1] [--motions trot …] [--terrains stairs-up=0.05 …] [--episodes 16]
+    python benchmarks/terrain.py [--robot a1] [--motions trot …] [--terrains stairs-up=0.05 …] [--episodes 64]
                                  [--observe truth] [--seed 0] [--json] [--write]
 
 Episodes begin on the terrain itself, at different places and phases, perturbed as in `fastmimic evaluate`, and last
@@ -44,7 +44,7 @@ def main() -> None:
     parser.add_argument("--robot", default="a1")
     parser.add_argument("--motions", nargs="+", default=MOTIONS)
     parser.add_argument("--terrains", nargs="+", help="in place of the usual ones, for all motions")
-    parser.add_argument("--episodes", type=int, default=16)
+    parser.add_argument("--episodes", type=int, default=64)
     parser.add_argument("--observe", default="truth", choices=("truth", "sensors"))
     parser.add_argument("--seed", type=int, default=0, help="of starts, places and ground")
     parser.add_argument("--json", action="store_true")
