@@ -51,7 +51,7 @@ def test_the_plane_under_the_feet_is_found(robot: Robot, terrain: str, axis: int
 
 @pytest.mark.slow
 def test_a_robot_that_does_not_feel_a_slope_falls(robot: Robot) -> None:
-    assert walked(robot, "slope=26", blind()).scorer.tallies["fallen"].all()
+    assert walked(robot, "slope=26", blind()).scorer.tallies["fallen"].sum() >= ROBOTS - 1
     assert not walked(robot, "slope=26", ControllerConfig()).scorer.tallies["fallen"].any()
 
 
