@@ -94,10 +94,11 @@ class Steered:
         return np.array(self._asked)
 
     def _suits(self, now: Gait, gait: Gait) -> bool:
-        """Whether a passage leads about to what is asked for: straight ahead, and not much slower; or if there is no
-        other way."""
+        """Whether a passage leads about to what is asked for, straight ahead and not much slower, or there is no other
+        way: one of the gaits cannot stand."""
         aside, slow = np.abs(self._asked[1:]), _SLOW * self._passages[now, gait][0].before
-        return bool(self._asked[0] > slow and (aside <= _ASIDE).all()) or not now.field.can_stand
+        both_stand = now.field.can_stand and gait.field.can_stand
+        return not both_stand or bool(self._asked[0] > slow and (aside <= _ASIDE).all())
 
     def _choose(self) -> None:
         """All gaits, those first that come nearest to what is asked for, of equal ones the slowest; and of the gaits
@@ -152,7 +153,7 @@ class Steered:
                 put(*gait.given, place, *self._work)
         elif place["stands"] > 0.0:
             return
-        elif (now, gait) in self._passages and (not gait.field.can_stand or self._suits(now, gait)):
+        elif (now, gait) in self._passages and self._suits(now, gait):
             self._pass(gait, row)
         elif (other := self._ways[now, gait][row]) >= 0:
             self._go_over(gait, other)
